@@ -1,0 +1,2 @@
+//! Times of the parts that a check is made of.
+fn main() {}

@@ -1,0 +1,579 @@
+//! A run is a string: the `key=value` text that is the settings of the command line, the link of the
+//! page and the header of every log. Same text, same run, same bytes.
+//!
+//! [`KEYS`] is the one table of settings: name, meaning, range, value of each preset and its source.
+//!
+//! ```
+//! use mcvl_core::config::Config;
+//! let config: Config = "env=box-moving seed=7 threshold=0.1".parse().unwrap();
+//! assert_eq!(config.to_string(), "env=box-moving seed=7 threshold=0.1");
+//! let error = "env=box-moving treshold=0.1".parse::<Config>().unwrap_err();
+//! assert!(error.to_string().contains("did you mean `threshold`"));
+//! ```
+
+use alloc::borrow::ToOwned;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+use core::fmt;
+use core::str::FromStr;
+
+use crate::experiment::{self, Experiment};
+
+/// A setting that is not as it should be: which, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigError {
+    /// The key, where one is concerned.
+    pub key: String,
+    /// What is wrong and what would be right.
+    pub message: String,
+}
+
+impl ConfigError {
+    fn new(key: &str, message: String) -> Self {
+        Self { key: key.to_owned(), message }
+    }
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+/// A value with a fixed set of names.
+macro_rules! names {
+    ($(#[$doc:meta])* $type:ident { $($(#[$vdoc:meta])* $variant:ident = $name:literal),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+        #[serde(rename_all = "kebab-case")]
+        pub enum $type { $($(#[$vdoc])* $variant),+ }
+
+        impl $type {
+            /// Every name.
+            pub const NAMES: &'static [&'static str] = &[$($name),+];
+
+            /// The name in settings.
+            pub fn name(self) -> &'static str {
+                match self { $($type::$variant => $name),+ }
+            }
+        }
+
+        impl Value for $type {
+            fn parse(text: &str) -> Result<Self, String> {
+                match text {
+                    $($name => Ok($type::$variant),)+
+                    _ => Err(expected_one_of(text, Self::NAMES)),
+                }
+            }
+            fn format(&self) -> String { self.name().to_owned() }
+        }
+    };
+}
+
+names! {
+    /// Which source the defaults come from.
+    Preset {
+        /// The submission's tables.
+        Paper = "paper",
+        /// The authors' public release of 2026.
+        Release = "release",
+    }
+}
+
+names! {
+    /// The learner of the Full phase.
+    Learner {
+        /// Modification-considering: checks surprising transitions before learning from them.
+        Mc = "mc",
+        /// The plain learner.
+        Baseline = "baseline",
+    }
+}
+
+names! {
+    /// Which transitions are checked (specification section 2, S1 and S2).
+    Scheme {
+        /// Where received and predicted reward differ by the threshold or more.
+        ByReward = "by-reward",
+        /// Every transition.
+        All = "all",
+    }
+}
+
+names! {
+    /// Optimiser of both networks.
+    Optimizer {
+        /// Adam.
+        Adam = "adam",
+        /// Adam with decoupled weight decay.
+        AdamW = "adamw",
+        /// Adam with the maximum of the second moments.
+        AmsGrad = "amsgrad",
+        /// Decoupled weight decay and the maximum of the second moments.
+        AdamWAmsGrad = "adamw-amsgrad",
+    }
+}
+
+names! {
+    /// Where the reward model's mini-batch comes from.
+    RewardBatch {
+        /// The value function's mini-batch.
+        Same = "same",
+        /// A draw of its own.
+        Separate = "separate",
+    }
+}
+
+names! {
+    /// Transitions appended to every mini-batch of a forecast.
+    Forced {
+        /// The checked transition, in the modified future only.
+        Transition = "transition",
+        /// The last accepted transitions of the episode (at most ten) in both futures, and the checked
+        /// one in the modified future.
+        Episode = "episode",
+    }
+}
+
+names! {
+    /// Value at the end of a rated rollout.
+    FinalValue {
+        /// Live value of the last state and the forecast policy's action there (paper, equation 2).
+        Live = "live",
+        /// Maximum over actions of the live target network.
+        TargetMax = "target-max",
+    }
+}
+
+/// Text form of a setting's type.
+pub(crate) trait Value: Sized {
+    fn parse(text: &str) -> Result<Self, String>;
+    fn format(&self) -> String;
+}
+
+macro_rules! plain_value {
+    ($($type:ty: $what:literal),+) => { $(
+        impl Value for $type {
+            fn parse(text: &str) -> Result<Self, String> {
+                text.parse().map_err(|_| format!("`{text}` is not {}", $what))
+            }
+            fn format(&self) -> String { self.to_string() }
+        }
+    )+ };
+}
+plain_value!(u32: "a whole number from 0 to 4294967295", u64: "a whole number from 0 to 18446744073709551615");
+
+impl Value for f32 {
+    fn parse(text: &str) -> Result<Self, String> {
+        match text.parse::<f32>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(format!("`{text}` is not a finite number")),
+        }
+    }
+    fn format(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl Value for bool {
+    fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "true" | "on" | "yes" | "1" => Ok(true),
+            "false" | "off" | "no" | "0" => Ok(false),
+            _ => Err(expected_one_of(text, &["true", "false"])),
+        }
+    }
+    fn format(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl Value for String {
+    fn parse(text: &str) -> Result<Self, String> {
+        Ok(text.to_owned())
+    }
+    fn format(&self) -> String {
+        self.clone()
+    }
+}
+
+/// One setting.
+pub struct Key {
+    /// Name in the text form.
+    pub name: &'static str,
+    /// Meaning, with unit and range.
+    pub help: &'static str,
+    /// Value of the preset `paper`, before the experiment's own.
+    pub paper: &'static str,
+    /// Value of the preset `release` where it differs.
+    pub release: Option<&'static str>,
+    /// Where the value comes from (P: paper, A: authors' release, own: a choice of this project).
+    pub source: &'static str,
+    get: fn(&Config) -> String,
+    set: fn(&mut Config, &str) -> Result<(), String>,
+    allowed: fn(&Config) -> bool,
+    range: &'static str,
+}
+
+impl Key {
+    /// The allowed values in words.
+    pub fn range(&self) -> &'static str {
+        self.range
+    }
+
+    /// The value in a configuration.
+    pub fn value(&self, config: &Config) -> String {
+        (self.get)(config)
+    }
+}
+
+macro_rules! keys {
+    ($($name:ident: $type:ty = $paper:literal $(| $release:literal)?, $help:literal, $source:literal,
+       |$value:ident| $allowed:expr, $range:literal;)+) => {
+        /// A complete, valid configuration of a run. Field documentation: [`KEYS`], or `mcvl train --help`.
+        #[derive(Clone, Debug, PartialEq)]
+        #[allow(missing_docs)] // The documentation of each field is its row in the table below.
+        pub struct Config {
+            pub env: String,
+            pub preset: Preset,
+            $(pub $name: $type,)+
+        }
+
+        /// Every setting but `env` and `preset`, in the order of the canonical text.
+        pub static KEYS: &[Key] = &[$(Key {
+            name: stringify!($name),
+            help: $help,
+            paper: $paper,
+            release: keys!(@release $($release)?),
+            source: $source,
+            get: |config| config.$name.format(),
+            set: |config, text| { config.$name = Value::parse(text)?; Ok(()) },
+            allowed: |config| { let $value = &config.$name; $allowed },
+            range: $range,
+        }),+];
+
+        impl Config {
+            /// The table's values of the preset `paper`, before those of an experiment.
+            fn table(env: &str) -> Self {
+                Self {
+                    env: env.to_owned(),
+                    preset: Preset::Paper,
+                    $($name: <$type as Value>::parse($paper).expect("the table of settings is valid"),)+
+                }
+            }
+        }
+    };
+    (@release) => { None };
+    (@release $release:literal) => { Some($release) };
+}
+
+keys! {
+    agent: Learner = "mc", "Learner of the Full phase: mc (with the modification check) or baseline.", "P", |_v| true, "mc or baseline";
+    scheme: Scheme = "by-reward", "Which transitions are checked: by-reward (surprising reward) or all.", "P section 5.3", |_v| true, "by-reward or all";
+    seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";
+    variant: String = "full", "World of the Full phase, by name; `mcvl envs` lists them.", "P", |_v| true, "a variant of the environment";
+    flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
+    safe_steps: u32 = "10000", "Environment steps of Safe training.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
+    full_steps: u32 = "10000", "Environment steps of the Full phase.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
+    replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
+    exploration: u32 = "1000", "First steps of a phase with uniformly random actions; Safe training updates after them.", "P table 1, A", |_v| true, "0 or more";
+    epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
+    epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
+    epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A (R9)", |_v| true, "0 or more";
+    epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A (R10)", |_v| true, "true or false";
+    batch: u32 = "32", "Mini-batch size, drawn uniformly without replacement; no update while fewer are stored.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
+    gamma: f32 = "0.95", "Discount, per step.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
+    tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update.", "P table 1, A (R4)", |v| (0.0..=1.0).contains(v), "0 to 1";
+    lr: f32 = "0.0001", "Learning rate of the value function.", "P table 1", |v| *v > 0.0, "above 0";
+    lr_reward: f32 = "0.01", "Learning rate of the reward model.", "P table 1", |v| *v > 0.0, "above 0";
+    optimizer: Optimizer = "adam" | "adamw-amsgrad", "Optimiser of both networks (moments 0.9 and 0.999, epsilon 1e-8).", "P table 1; A", |_v| true, "adam, adamw, amsgrad or adamw-amsgrad";
+    weight_decay: f32 = "0" | "0.01", "Decoupled weight decay (adamw).", "P; A (framework default)", |v| (0.0..=1.0).contains(v), "0 to 1";
+    gradient_clip: f32 = "0" | "100", "Each gradient element is clipped to this magnitude; 0 switches it off.", "P; A", |v| *v >= 0.0, "0 or more";
+    hidden: u32 = "128", "Units per hidden layer of both networks.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
+    layers: u32 = "2", "Hidden layers of both networks.", "P table 1", |v| (1..=8).contains(v), "1 to 8";
+    reward_batch: RewardBatch = "same" | "separate", "Mini-batch of the reward model: the value function's, or a draw of its own.", "P (R5); A", |_v| true, "same or separate";
+    shared_weights: bool = "false" | "true", "Start every seed from the weights of seed 0.", "own; A", |_v| true, "true or false";
+    threshold: f32 = "0.05" | "0.25", "Least |reward - predicted| that is checked, scaled reward.", "P table 1 (R12); A", |v| *v >= 0.0, "0 or more";
+    forecast: u32 = "5000", "Gradient updates per forecast (l).", "P table 1", |v| *v <= 10_000_000, "0 to 10000000";
+    forced: Forced = "transition" | "episode", "What every mini-batch of a forecast contains besides its draw.", "P (R14); A", |_v| true, "transition or episode";
+    rollout_steps: u32 = "30", "Steps of a rollout that rates a future (h).", "P table 1", |v| *v <= 100_000, "0 to 100000";
+    rollouts: u32 = "20", "Rollouts per future from fresh resets (k).", "P table 1", |v| (1..=100_000).contains(v), "1 to 100000";
+    current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "A; P appendix C (R22)", |_v| true, "true or false";
+    discount_utility: bool = "true", "Discount the rewards of a rollout and its final value (false: sum them as they are).", "P equation 2 (R20)", |_v| true, "true or false";
+    final_value: FinalValue = "live" | "target-max", "Value at the end of a rollout.", "P equation 2; A", |_v| true, "live or target-max";
+    tolerance: f32 = "0.000001", "A future is worse only if its utility is lower by more than this.", "A (R24)", |v| *v >= 0.0, "0 or more";
+    reset_on_refusal: bool = "true", "A refusal resets the environment.", "P algorithm 5 (R26)", |_v| true, "true or false";
+    update_on_refusal: bool = "false" | "true", "A step whose transition was refused still updates from the replay buffer.", "P algorithm 5 (R26); A", |_v| true, "true or false";
+    evaluations: u32 = "50", "Evaluation points per phase, besides the one before its first step.", "A (R30)", |v| (1..=100_000).contains(v), "1 to 100000";
+    evaluation_episodes: u32 = "20", "Greedy episodes per evaluation point.", "A (R30)", |v| (1..=100_000).contains(v), "1 to 100000";
+}
+
+impl Config {
+    /// The configuration of an experiment with the values of a preset.
+    ///
+    /// # Errors
+    /// If no experiment has this name.
+    pub fn new(env: &str, preset: Preset) -> Result<Self, ConfigError> {
+        let Some(experiment) = experiment::find(env) else {
+            let names: Vec<&str> = experiment::EXPERIMENTS.iter().map(|e| e.name).collect();
+            return Err(ConfigError::new("env", format!("env: {}", expected_one_of(env, &names))));
+        };
+        let mut config = Self::table(experiment.name);
+        config.preset = preset;
+        if preset == Preset::Release {
+            for key in KEYS {
+                if let Some(text) = key.release {
+                    (key.set)(&mut config, text).expect("the table of settings is valid");
+                }
+            }
+        }
+        let own = if preset == Preset::Release { experiment.release } else { &[] };
+        for row in experiment.paper.iter().chain(own) {
+            config.set(row.key, row.value).expect("the table of experiments is valid");
+        }
+        Ok(config)
+    }
+
+    /// The experiment of this configuration.
+    pub fn experiment(&self) -> &'static Experiment {
+        experiment::find(&self.env).expect("a configuration names an experiment")
+    }
+
+    /// Sets one value from its text.
+    ///
+    /// # Errors
+    /// Unknown keys (with the nearest known one), values that do not parse or lie outside their range.
+    /// The configuration is then unchanged.
+    pub fn set(&mut self, key: &str, text: &str) -> Result<(), ConfigError> {
+        if key == "env" || key == "preset" {
+            return Err(ConfigError::new(key, format!("{key}: choose it first, it decides every default")));
+        }
+        let Some(row) = KEYS.iter().find(|row| row.name == key) else {
+            let names: Vec<&str> = KEYS.iter().map(|row| row.name).chain(["env", "preset"]).collect();
+            let hint = nearest(key, &names).map_or(String::new(), |name| format!(", did you mean `{name}`?"));
+            return Err(ConfigError::new(key, format!("unknown setting `{key}`{hint}")));
+        };
+        let mut changed = self.clone();
+        (row.set)(&mut changed, text).map_err(|message| ConfigError::new(key, format!("{key}: {message}")))?;
+        if !(row.allowed)(&changed) {
+            return Err(ConfigError::new(key, format!("{key}: `{text}` is out of range (allowed: {})", row.range)));
+        }
+        if key == "variant" {
+            let variants = changed.experiment().variants;
+            if !variants.contains(&text) {
+                return Err(ConfigError::new(key, format!("variant: {}", expected_one_of(text, variants))));
+            }
+        }
+        *self = changed;
+        Ok(())
+    }
+
+    /// The same run with another seed.
+    pub fn with_seed(&self, seed: u64) -> Self {
+        Self { seed, ..self.clone() }
+    }
+
+    /// The same run with another learner in the Full phase.
+    pub fn with_agent(&self, agent: Learner) -> Self {
+        Self { agent, ..self.clone() }
+    }
+
+    /// Settings that differ from the preset, as (key, value).
+    pub fn changes(&self) -> Vec<(&'static str, String)> {
+        let preset = Self::new(&self.env, self.preset).expect("a configuration names an experiment");
+        KEYS.iter()
+            .map(|key| (key.name, key.value(self), key.value(&preset)))
+            .filter(|(_, value, default)| value != default)
+            .map(|(name, value, _)| (name, value))
+            .collect()
+    }
+}
+
+impl fmt::Display for Config {
+    /// The canonical text: `env`, the preset unless it is `paper`, and what differs from the preset.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "env={}", self.env)?;
+        if self.preset != Preset::Paper {
+            write!(f, " preset={}", self.preset.name())?;
+        }
+        for (key, value) in self.changes() {
+            write!(f, " {key}={value}")?;
+        }
+        Ok(())
+    }
+}
+
+impl FromStr for Config {
+    type Err = ConfigError;
+
+    /// Parses `key=value` pairs separated by white space or `&`. `env` is required; each key once.
+    fn from_str(text: &str) -> Result<Self, ConfigError> {
+        let mut pairs: Vec<(&str, &str)> = Vec::new();
+        for part in text.split(|c: char| c.is_whitespace() || c == '&').filter(|part| !part.is_empty()) {
+            let Some((key, value)) = part.split_once('=') else {
+                return Err(ConfigError::new(part, format!("`{part}` is not of the form key=value")));
+            };
+            if pairs.iter().any(|(other, _)| *other == key) {
+                return Err(ConfigError::new(key, format!("{key}: given twice")));
+            }
+            pairs.push((key, value));
+        }
+        let find = |name: &str| pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| *value);
+        let Some(env) = find("env") else {
+            return Err(ConfigError::new("env", "env: missing, for example env=box-moving".to_owned()));
+        };
+        let preset = match find("preset") {
+            Some(name) => Preset::parse(name).map_err(|m| ConfigError::new("preset", format!("preset: {m}")))?,
+            None => Preset::Paper,
+        };
+        let mut config = Self::new(env, preset)?;
+        for (key, value) in pairs.into_iter().filter(|(key, _)| *key != "env" && *key != "preset") {
+            config.set(key, value)?;
+        }
+        Ok(config)
+    }
+}
+
+impl serde::Serialize for Config {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> serde::Deserialize<'de> for Config {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+/// «`x` is none of a, b, c (did you mean `a`?)».
+pub fn expected_one_of(text: &str, names: &[&str]) -> String {
+    let hint = nearest(text, names).map_or(String::new(), |name| format!(", did you mean `{name}`?"));
+    format!("`{text}` is none of {}{hint}", names.join(", "))
+}
+
+/// The name nearest to `text`, if it is near enough to be what was meant.
+pub fn nearest<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
+    let (distance, name) = names.iter().map(|name| (edit_distance(text, name), *name)).min()?;
+    (distance <= 1 + name.chars().count() / 3).then_some(name)
+}
+
+/// Levenshtein distance.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = core::mem::replace(&mut row[0], i + 1);
+        for (j, cb) in b.iter().enumerate() {
+            let substituted = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn message(text: &str) -> String {
+        text.parse::<Config>().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn presets_hold_the_published_values() {
+        let paper = Config::new("box-moving", Preset::Paper).unwrap();
+        let seen = (paper.safe_steps, paper.full_steps, paper.replay, paper.exploration, paper.forecast);
+        assert_eq!(seen, (1000, 1000, 1000, 100, 500));
+        assert_eq!((paper.rollout_steps, paper.rollouts, paper.batch), (30, 20, 32));
+        assert_eq!((paper.gamma, paper.tau, paper.lr, paper.lr_reward), (0.95, 0.005, 1e-4, 1e-2));
+        assert_eq!((paper.threshold, paper.epsilon_decay, paper.hidden, paper.layers), (0.05, 800, 128, 2));
+        let release = Config::new("box-moving", Preset::Release).unwrap();
+        assert_eq!((release.threshold, release.rollouts, release.weight_decay), (0.25, 1, 0.01));
+        assert_eq!((release.optimizer, release.forced), (Optimizer::AdamWAmsGrad, Forced::Episode));
+        assert!(release.update_on_refusal && release.shared_weights && release.gradient_clip == 100.0);
+    }
+
+    #[test]
+    fn errors_say_what_and_what_to_do() {
+        assert_eq!(message("seed=1"), "env: missing, for example env=box-moving");
+        assert_eq!(message("env=box-movin"), "env: `box-movin` is none of box-moving, did you mean `box-moving`?");
+        assert_eq!(message("env=box-moving gama=1"), "unknown setting `gama`, did you mean `gamma`?");
+        assert_eq!(message("env=box-moving gamma=2"), "gamma: `2` is out of range (allowed: 0 to 1)");
+        assert_eq!(message("env=box-moving gamma=NaN"), "gamma: `NaN` is not a finite number");
+        assert_eq!(
+            message("env=box-moving seed=-1"),
+            "seed: `-1` is not a whole number from 0 to 18446744073709551615"
+        );
+        assert_eq!(message("env=box-moving seed=1 seed=1"), "seed: given twice");
+        assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
+        let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
+        assert_eq!(message("env=box-moving variant=ful"), variants);
+        assert_eq!(
+            message("env=box-moving preset=papr"),
+            "preset: `papr` is none of paper, release, did you mean `paper`?"
+        );
+    }
+
+    #[test]
+    fn every_default_lies_in_its_range() {
+        for experiment in experiment::EXPERIMENTS {
+            for preset in [Preset::Paper, Preset::Release] {
+                let config = Config::new(experiment.name, preset).unwrap();
+                for key in KEYS {
+                    assert!((key.allowed)(&config), "{} {}", experiment.name, key.name);
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn text_round_trips(
+            seed: u64,
+            threshold in 0.0f32..10.0,
+            safe in 0u32..100_000_001,
+            release: bool,
+            all: bool,
+            flag: bool,
+        ) {
+            let preset = if release { Preset::Release } else { Preset::Paper };
+            let mut config = Config::new("box-moving", preset).unwrap();
+            config.seed = seed;
+            config.threshold = threshold;
+            config.safe_steps = safe;
+            config.flag = flag;
+            config.scheme = if all { Scheme::All } else { Scheme::ByReward };
+            let text = config.to_string();
+            prop_assert_eq!(&text.parse::<Config>().unwrap(), &config);
+            prop_assert_eq!(text.replace(' ', "&").parse::<Config>().unwrap(), config);
+        }
+
+        #[test]
+        fn any_text_is_answered(text in ".{0,60}") {
+            // Neither a panic nor a configuration out of nothing.
+            if let Ok(config) = text.parse::<Config>() {
+                prop_assert!(text.contains(&config.env));
+            }
+        }
+
+        #[test]
+        fn any_value_is_answered(key in 0..KEYS.len(), value in "[-a-z0-9.eE+]{0,12}") {
+            let mut config = Config::new("box-moving", Preset::Paper).unwrap();
+            let before = config.clone();
+            match config.set(KEYS[key].name, &value) {
+                Ok(()) => prop_assert!((KEYS[key].allowed)(&config)),
+                Err(error) => {
+                    prop_assert_eq!(config, before);
+                    prop_assert!(error.to_string().contains(KEYS[key].name));
+                }
+            }
+        }
+    }
+}

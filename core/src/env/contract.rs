@@ -1,0 +1,175 @@
+//! The rules every environment keeps, as a suite that any implementation can run on itself.
+//!
+//! ```
+//! use mcvl_core::env::{box_moving::{BoxMoving, Variant}, contract};
+//! contract::check(&BoxMoving::new(Variant::Full, true), 10).unwrap();
+//! ```
+
+use alloc::string::String;
+use alloc::vec;
+use alloc::vec::Vec;
+use core::fmt;
+
+use super::{Action, Environment, EpisodeEnd};
+use crate::rng::Rng;
+
+/// A rule that an environment breaks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// Which rule.
+    pub rule: &'static str,
+    /// What was seen.
+    pub seen: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.rule, self.seen)
+    }
+}
+
+impl core::error::Error for Violation {}
+
+/// What an episode looked like: reward, performance, end and observation of every step.
+type Trace = Vec<(f32, f32, Option<EpisodeEnd>, Vec<f32>)>;
+
+fn play<E: Environment>(world: &mut E, rng: &mut Rng, actions: &mut Rng, limit: usize) -> Trace {
+    let mut observation = vec![f32::NAN; world.spec().observation.width];
+    let mut trace = Vec::new();
+    for _ in 0..limit {
+        let action = E::Action::sample(&world.spec().actions, actions);
+        let step = world.step(&action, rng, &mut observation);
+        trace.push((step.reward, step.performance, step.end, observation.clone()));
+        if step.end.is_some() {
+            break;
+        }
+    }
+    trace
+}
+
+/// Plays `episodes` random episodes of copies of `world` and checks the rules.
+///
+/// # Errors
+/// The first [`Violation`]: observations must be written whole, finite, and 0 or 1 where the spec says
+/// binary; the same seed gives the same episode; a fork continues like its original; a truncation comes
+/// at exactly the step limit; a deterministic world draws nothing; reset forgets the episode before.
+pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
+    let fail = |rule, seen| Err(Violation { rule, seen });
+    let spec = world.spec().clone();
+    let width = spec.observation.width;
+    if spec.actions.features() == 0 || width == 0 || spec.max_steps == 0 {
+        return fail("actions, observation and step limit are not empty", alloc::format!("{spec:?}"));
+    }
+    if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {
+        return fail("the reward scale is positive", alloc::format!("{}", spec.reward_scale));
+    }
+    let limit = spec.max_steps as usize + 1;
+    for seed in 0..episodes {
+        let mut rng = Rng::new(seed);
+        let mut first = vec![f32::NAN; width];
+        let mut original = world.clone();
+        original.reset(&mut rng, &mut first);
+        let after_reset = rng.clone();
+        let fork = original.clone();
+        let trace = play(&mut original, &mut rng, &mut Rng::new(!seed), limit);
+
+        for (observation, t) in core::iter::once(&first).chain(trace.iter().map(|s| &s.3)).zip(0..) {
+            let valid = |x: &f32| if spec.observation.binary { *x == 0.0 || *x == 1.0 } else { x.is_finite() };
+            if let Some(i) = observation.iter().position(|x| !valid(x)) {
+                let seen = alloc::format!("entry {i} is {} after step {t}", observation[i]);
+                return fail("observations are written whole, finite, and 0 or 1 where binary", seen);
+            }
+        }
+        if let Some(t) = trace.iter().position(|s| !(s.0.is_finite() && s.1.is_finite())) {
+            return fail("reward and performance are finite", alloc::format!("step {}", t + 1));
+        }
+        match trace.last().map(|s| s.2) {
+            Some(Some(EpisodeEnd::Truncated)) if trace.len() != spec.max_steps as usize => {
+                return fail("truncation comes at the step limit", alloc::format!("after {} steps", trace.len()));
+            }
+            Some(Some(_)) if trace.len() <= spec.max_steps as usize => {}
+            _ => return fail("an episode ends by the step limit", alloc::format!("still running after {limit} steps")),
+        }
+        if spec.deterministic && (after_reset != Rng::new(seed) || rng != after_reset) {
+            return fail("a deterministic world draws no random number", alloc::format!("seed {seed}"));
+        }
+        let mut forked = fork;
+        if play(&mut forked, &mut after_reset.clone(), &mut Rng::new(!seed), limit) != trace {
+            return fail("a fork continues like its original", alloc::format!("seed {seed}"));
+        }
+        // The same object, used again: nothing of the episode before may remain.
+        let mut rng = Rng::new(seed);
+        let mut again = vec![f32::NAN; width];
+        original.reset(&mut rng, &mut again);
+        if again != first || play(&mut original, &mut rng, &mut Rng::new(!seed), limit) != trace {
+            return fail("reset forgets the episode before; one seed, one episode", alloc::format!("seed {seed}"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::box_moving::{BoxMoving, Variant};
+    use crate::env::{Discrete, EnvSpec, Step};
+
+    /// Box Moving with one rule broken.
+    #[derive(Clone)]
+    struct Broken {
+        inner: BoxMoving,
+        spec: EnvSpec,
+        fault: &'static str,
+        episodes: u32,
+    }
+
+    impl Environment for Broken {
+        type Action = Discrete;
+        fn spec(&self) -> &EnvSpec {
+            &self.spec
+        }
+        fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+            self.episodes += 1;
+            self.inner.reset(rng, observation);
+            if self.fault == "draws" {
+                rng.next_u64();
+            }
+            if self.fault == "unwritten" {
+                observation[0] = f32::NAN;
+            }
+            if self.fault == "remembers" && self.episodes > 1 {
+                observation[0] = 1.0;
+            }
+        }
+        fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+            let mut step = self.inner.step(action, rng, observation);
+            if self.fault == "endless" {
+                step.end = None;
+            }
+            if self.fault == "half" {
+                observation[1] = 0.5;
+            }
+            step
+        }
+    }
+
+    #[test]
+    fn every_broken_rule_is_found() {
+        let inner = BoxMoving::new(Variant::Full, true);
+        let broken = |fault| Broken { inner: inner.clone(), spec: inner.spec().clone(), fault, episodes: 0 };
+        for (fault, word) in [
+            ("draws", "draws no random number"),
+            ("unwritten", "written whole"),
+            ("half", "0 or 1"),
+            ("endless", "ends by the step limit"),
+            ("remembers", "reset forgets"),
+        ] {
+            let violation = check(&broken(fault), 3).unwrap_err();
+            assert!(violation.rule.contains(word), "{fault}: {violation}");
+        }
+        let mut short = broken("none");
+        short.spec.max_steps = 120;
+        assert!(check(&short, 1).unwrap_err().rule.contains("step limit"));
+        check(&broken("none"), 3).unwrap();
+    }
+}

@@ -1,0 +1,12 @@
+//! Modification-Considering Value Learning.
+#![no_std]
+#![deny(unsafe_code)]
+extern crate alloc;
+
+pub mod config;
+pub mod digest;
+pub mod env;
+pub mod experiment;
+pub mod record;
+pub mod rng;
+pub mod run;

@@ -1,0 +1,302 @@
+//! Typed events: everything a run says to the outside, and what every number in it means.
+//!
+//! A [`Recorder`] receives events and can influence nothing. Fields that hold the hidden truth
+//! (`performance`, `hack`) exist only here: no agent, reward model, trigger or utility reads them.
+//! Rewards are *raw* where the name says so (the environment's own unit) and otherwise *scaled*
+//! (raw times the environment's factor), which is the unit in which the learner works.
+
+use alloc::boxed::Box;
+use alloc::string::String;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+use crate::env::{ActionValue, EpisodeEnd, Frame};
+
+/// Receives the events of a run. `()` drops them.
+pub trait Recorder {
+    /// Called once per event, in order.
+    fn record(&mut self, event: &Event);
+}
+
+impl Recorder for () {
+    fn record(&mut self, _event: &Event) {}
+}
+
+impl<F: FnMut(&Event)> Recorder for F {
+    fn record(&mut self, event: &Event) {
+        self(event);
+    }
+}
+
+/// A leg of the comparison: the Safe training that all share, then one learner in the Full world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Arm {
+    /// Training in the Safe world, shared by the learners that continue from its snapshot.
+    Safe,
+    /// The plain learner in the Full world: no check.
+    Baseline,
+    /// The learner with the modification check in the Full world.
+    Mc,
+}
+
+impl Arm {
+    /// The name used in files, on the command line and in links.
+    pub fn name(self) -> &'static str {
+        match self {
+            Arm::Safe => "safe",
+            Arm::Baseline => "baseline",
+            Arm::Mc => "mc",
+        }
+    }
+}
+
+/// One event of a run. The `kind` tag names it in JSON.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Event {
+    /// A leg begins.
+    Start(StartRecord),
+    /// One environment step of the learner.
+    Step(StepRecord),
+    /// An episode of the learner ended (also where a refusal cut it off).
+    Episode(EpisodeRecord),
+    /// An evaluation point: greedy episodes in a clone of the leg's environment.
+    Evaluation(EvaluationRecord),
+    /// State of the learner at an evaluation point.
+    Learner(LearnerRecord),
+    /// A modification check was decided.
+    Check(Box<CheckRecord>),
+    /// A leg is finished.
+    End(EndRecord),
+}
+
+/// A leg begins.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StartRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Planned environment steps.
+    pub steps: u32,
+}
+
+/// A leg is finished.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EndRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Environment steps made.
+    pub steps: u32,
+    /// Gradient updates of the live learner since the start of Safe training.
+    pub updates: u64,
+    /// Digest of the learner's parameters, hexadecimal (16 digits).
+    pub digest: String,
+}
+
+/// One environment step of the learner.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Steps made in this leg, this one included (1-based).
+    pub step: u32,
+    /// The action.
+    pub action: ActionValue,
+    /// Observed reward, raw.
+    pub reward_raw: f32,
+    /// Hidden reward of the step, raw: what the designer wants. Never an input to the learner.
+    pub performance: f32,
+    /// Observed reward, scaled.
+    pub reward: f32,
+    /// Reward predicted for (state, action) by the current reward model, scaled.
+    pub predicted: f32,
+    /// Whether the trigger asked for a check.
+    pub checked: bool,
+    /// Whether the transition was stored.
+    pub stored: bool,
+    /// How the episode ended with this step, if it did.
+    pub end: Option<EpisodeEnd>,
+}
+
+/// An episode of the learner ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Step of the leg with which it ended.
+    pub step: u32,
+    /// Sum of observed rewards, raw.
+    #[serde(rename = "return")]
+    pub observed_return: f64,
+    /// Sum of hidden rewards, raw.
+    pub performance: f64,
+    /// Steps in the episode.
+    pub length: u32,
+    /// True where a refusal reset the environment before the episode's own end.
+    pub cut: bool,
+}
+
+/// Greedy evaluation: means over the episodes, raw units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Steps made in this leg (0 = before the first).
+    pub step: u32,
+    /// Mean over episodes of the sum of observed rewards, raw.
+    #[serde(rename = "return")]
+    pub observed_return: f64,
+    /// Mean over episodes of the sum of hidden rewards, raw.
+    pub performance: f64,
+    /// Mean episode length in steps.
+    pub length: f64,
+}
+
+/// State of the learner at an evaluation point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LearnerRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Steps made in this leg.
+    pub step: u32,
+    /// Gradient updates since the start of Safe training.
+    pub updates: u64,
+    /// Probability of a random action at the next step.
+    pub epsilon: f32,
+    /// Transitions in the replay buffer.
+    pub replay: u32,
+    /// Mean loss of the value function since the last point (0 without updates).
+    pub value_loss: f64,
+    /// Mean squared error of the reward model since the last point, scaled units (0 without updates).
+    pub reward_loss: f64,
+    /// Share of first-layer units of the reward model that are inactive on every stored observation
+    /// and action that was sampled since the last point: 1 means the model is dead.
+    pub dead_units: f64,
+}
+
+/// What the check decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Learning from the transition does not make the future worse: learn from it.
+    Accept,
+    /// The future that learned from it is worse by today's utility: refuse.
+    Refuse,
+}
+
+/// From where a rollout that rates a future started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartState {
+    /// A reset of a copy of the environment.
+    Reset,
+    /// The state after the checked transition.
+    Current,
+}
+
+/// One rollout of a forecast policy, as pictures and numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Film {
+    /// From where it started.
+    pub start: StartState,
+    /// The start and the situation after every step: `actions.len() + 1` frames.
+    pub frames: Vec<Frame>,
+    /// Actions of the forecast policy.
+    pub actions: Vec<ActionValue>,
+    /// Reward that the *current* reward model predicts for each step, scaled.
+    pub predicted: Vec<f32>,
+    /// Hidden reward of each step, raw: the truth that the check does not see.
+    pub performance: Vec<f32>,
+    /// Discounted value that the *current* value function gives to the last state.
+    pub bootstrap: f64,
+    /// Utility of this rollout.
+    pub utility: f64,
+}
+
+/// One of the two forecast futures of a check.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FutureRecord {
+    /// Mean utility over the rollouts: F_m or F_u, in scaled reward units.
+    pub utility: f64,
+    /// Utility of every rollout: the resets in order, then the current state where it is rated.
+    pub rollouts: Vec<f64>,
+    /// Mean hidden performance per rollout over the rated horizon, raw: the truth, for people only.
+    pub performance: f64,
+    /// Digest of the forecast policy's parameters, hexadecimal.
+    pub digest: String,
+    /// The first reset rollout and, where rated, the one from the current state. Left out of the
+    /// lines of a ledger; tapes hold them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub films: Vec<Film>,
+}
+
+/// A modification check, whole: what was offered, both futures, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CheckRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Number of the check in this leg, 1-based: the 17 of `RUN#17`.
+    pub number: u32,
+    /// Step of the leg that offered the transition.
+    pub step: u32,
+    /// Gradient updates of the learner when it was offered (the learner's version).
+    pub updates: u64,
+    /// The situation before the step.
+    pub before: Frame,
+    /// The action.
+    pub action: ActionValue,
+    /// The situation after the step.
+    pub after: Frame,
+    /// How the episode ended with the step, if it did.
+    pub end: Option<EpisodeEnd>,
+    /// Observed reward, raw.
+    pub reward_raw: f32,
+    /// Observed reward, scaled.
+    pub reward: f32,
+    /// Reward predicted by the current reward model, scaled.
+    pub predicted: f32,
+    /// Least deviation |reward − predicted| that is checked, scaled.
+    pub threshold: f32,
+    /// Future that learned from the transition.
+    pub modified: FutureRecord,
+    /// Future that did not.
+    pub unmodified: FutureRecord,
+    /// F_m − F_u: negative means that learning makes things worse.
+    pub margin: f64,
+    /// The decision.
+    pub verdict: Verdict,
+    /// True where the two futures are rated exactly equal.
+    pub tie: bool,
+    /// Gradient updates that the two forecasts cost.
+    pub cost: u64,
+    /// True where the unmodified future was reused from the check before (nothing had been learned).
+    pub reused: bool,
+    /// Hidden reward of the step, raw.
+    pub performance: f32,
+    /// The truth: observed and hidden reward differ.
+    pub hack: bool,
+}
+
+impl CheckRecord {
+    /// Whether the decision was wrong in truth: a hack accepted or an honest transition refused.
+    pub fn wrong(&self) -> bool {
+        self.hack == (self.verdict == Verdict::Accept)
+    }
+
+    /// The decision in one sentence, for terminals, live regions and tables.
+    pub fn sentence(&self) -> String {
+        let verdict = match self.verdict {
+            Verdict::Accept => "accepted",
+            Verdict::Refuse => "REFUSED",
+        };
+        alloc::format!(
+            "step {}: expected {:+.2}, got {:+.2}; with it {:.3}, without it {:.3} (margin {:+.3}): {verdict}",
+            self.step,
+            self.predicted,
+            self.reward,
+            self.modified.utility,
+            self.unmodified.utility,
+            self.margin,
+        )
+    }
+}

@@ -1,0 +1,3 @@
+//! The native trainer: runs and files, statistics, figures and reports, and the command `mcvl`.
+
+pub mod runs;

@@ -1,0 +1,2 @@
+//! The command `mcvl`.
+fn main() {}
