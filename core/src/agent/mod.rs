@@ -1,0 +1,54 @@
+//! Learners: action selection plus an update rule, one algorithm per file.
+
+pub mod ddqn;
+pub mod reward_model;
+
+use alloc::vec::Vec;
+
+use crate::env::{Action, ActionSpec};
+use crate::nn::mlp::Scratch;
+use crate::nn::rows::Rows;
+use crate::replay::Minibatch;
+use crate::rng::Rng;
+
+/// Action selection plus an update rule. `Clone` is the snapshot from which a forecast starts.
+///
+/// Methods work on batches of observations; `scratch` is working memory without content.
+pub trait Agent: Clone {
+    /// What it does in the world.
+    type Action: Action;
+
+    /// The policy's action for every row, without exploration.
+    fn act(&self, observations: &Rows, scratch: &mut Scratch, actions: &mut Vec<Self::Action>);
+
+    /// Value of doing `actions[i]` in row `i` and following the policy from there, scaled units.
+    fn values(&self, observations: &Rows, actions: &[Self::Action], scratch: &mut Scratch, values: &mut Vec<f32>);
+
+    /// Value of every row by the target network and its own best action, scaled units.
+    fn target_values(&self, observations: &Rows, scratch: &mut Scratch, values: &mut Vec<f32>);
+
+    /// One gradient update on a mini-batch; returns the mean loss before it.
+    fn update(&mut self, batch: &Minibatch<Self::Action>, rng: &mut Rng) -> f32;
+
+    /// Digest of the parameters that decide actions.
+    fn digest(&self) -> u64;
+
+    /// An exploring action for one observation: a random one with probability `epsilon`.
+    fn explore(
+        &self,
+        observation: &Rows,
+        actions: &ActionSpec,
+        epsilon: f32,
+        rng: &mut Rng,
+        scratch: &mut Scratch,
+    ) -> Self::Action {
+        // The coin is always thrown, so that the stream does not depend on the schedule.
+        let coin = rng.uniform();
+        if coin < epsilon {
+            return Self::Action::sample(actions, rng);
+        }
+        let mut chosen = Vec::with_capacity(1);
+        self.act(observation, scratch, &mut chosen);
+        chosen.pop().expect("one action per row")
+    }
+}

@@ -1,0 +1,117 @@
+//! Input rows of a network: lists of active inputs where observations are zeros and ones, numbers
+//! otherwise.
+
+use alloc::vec::Vec;
+
+use crate::env::ObservationSpec;
+
+/// An observation in packed form: the ascending positions of its ones (binary), or the bits of its
+/// numbers. Equal observations have equal words.
+pub type Words = [u32];
+
+/// Packs an observation of `spec.width` numbers.
+pub fn pack(spec: ObservationSpec, observation: &[f32]) -> Vec<u32> {
+    if spec.binary {
+        (0u32..).zip(observation).filter(|(_, x)| **x != 0.0).map(|(i, _)| i).collect()
+    } else {
+        observation.iter().map(|x| x.to_bits()).collect()
+    }
+}
+
+/// A batch of input rows, `[len, width]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    width: usize,
+    binary: bool,
+    len: usize,
+    /// Binary: positions of the ones of all rows. Dense: unused.
+    indices: Vec<u32>,
+    /// Binary: end of each row in `indices`.
+    ends: Vec<usize>,
+    /// Dense: row-major numbers.
+    values: Vec<f32>,
+}
+
+impl Rows {
+    /// No rows, of inputs of this kind.
+    pub fn new(spec: ObservationSpec) -> Self {
+        Self { width: spec.width, binary: spec.binary, ..Self::default() }
+    }
+
+    /// Removes all rows and keeps the memory; rows of `spec` may follow.
+    pub fn clear(&mut self, spec: ObservationSpec) {
+        (self.width, self.binary, self.len) = (spec.width, spec.binary, 0);
+        self.indices.clear();
+        self.ends.clear();
+        self.values.clear();
+    }
+
+    /// Adds a packed observation.
+    pub fn push(&mut self, words: &Words) {
+        if self.binary {
+            self.indices.extend_from_slice(words);
+            self.ends.push(self.indices.len());
+        } else {
+            self.values.extend(words.iter().map(|&bits| f32::from_bits(bits)));
+        }
+        self.len += 1;
+    }
+
+    /// Adds an observation.
+    pub fn push_observation(&mut self, observation: &[f32]) {
+        if self.binary {
+            let ones = (0u32..).zip(observation).filter(|(_, x)| **x != 0.0).map(|(i, _)| i);
+            self.indices.extend(ones);
+            self.ends.push(self.indices.len());
+        } else {
+            self.values.extend_from_slice(observation);
+        }
+        self.len += 1;
+    }
+
+    /// Adds row `row` of `states` followed by the one-hot action `action` of `actions`: the input of a
+    /// reward model. `self.width` is `states.width + actions`.
+    pub fn push_pair(&mut self, states: &Rows, row: usize, action: usize) {
+        if self.binary {
+            self.indices.extend_from_slice(states.ones(row));
+            self.indices.push((states.width + action) as u32);
+            self.ends.push(self.indices.len());
+        } else {
+            self.values.extend_from_slice(&states.values[row * states.width..(row + 1) * states.width]);
+            let actions = self.width - states.width;
+            self.values.extend((0..actions).map(|a| if a == action { 1.0 } else { 0.0 }));
+        }
+        self.len += 1;
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Numbers per row.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// True if rows are zeros and ones.
+    pub fn is_binary(&self) -> bool {
+        self.binary
+    }
+
+    /// Ascending positions of the ones of a binary row.
+    pub fn ones(&self, row: usize) -> &[u32] {
+        let start = if row == 0 { 0 } else { self.ends[row - 1] };
+        &self.indices[start..self.ends[row]]
+    }
+
+    /// The numbers of dense rows, row-major; empty for binary rows.
+    pub fn dense(&self) -> &[f32] {
+        &self.values
+    }
+}
