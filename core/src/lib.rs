@@ -3,13 +3,16 @@
 #![deny(unsafe_code)]
 extern crate alloc;
 
+pub mod agent;
+pub mod check;
 pub mod config;
 pub mod digest;
 pub mod env;
 pub mod experiment;
-pub mod agent;
+pub mod forecast;
 pub mod nn;
 pub mod record;
 pub mod replay;
 pub mod rng;
 pub mod run;
+pub mod trainer;

@@ -1,17 +1,34 @@
 //! A run with its types erased: what the command line, the page and embedders of the built-in worlds hold.
 
+use alloc::borrow::ToOwned;
+use alloc::boxed::Box;
+use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
+use crate::agent::ddqn::Ddqn;
 use crate::config::{Config, Learner};
-use crate::env::{EnvSpec, Frame};
+use crate::digest::Digest;
+use crate::env::box_moving::{BoxMoving, Variant};
+use crate::env::{Discrete, EnvSpec, Environment, Frame};
+use crate::forecast::cpu::CpuForecaster;
 use crate::record::{Arm, Recorder};
+use crate::trainer::Trainer;
 
 /// How much work one call may do. One unit is about one gradient update of the gridworld learner;
 /// a call overshoots by at most one indivisible piece (an evaluation episode, a rollout).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget(pub u32);
+
+impl Budget {
+    /// Notes that `units` of work were done.
+    pub fn spend(&mut self, units: u32) {
+        self.0 = self.0.saturating_sub(units);
+    }
+}
 
 /// Where a run stands after a poll.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +75,8 @@ pub enum RunError {
         /// At which step of the leg.
         step: u32,
     },
+    /// The forecasting back end failed; the state of the run is intact.
+    Forecast(String),
 }
 
 impl fmt::Display for RunError {
@@ -69,6 +88,7 @@ impl fmt::Display for RunError {
                  lower the learning rates (lr, lr_reward) or set gradient_clip",
                 arm.name()
             ),
+            RunError::Forecast(why) => write!(f, "the forecasting back end failed: {why}"),
         }
     }
 }
@@ -120,18 +140,129 @@ impl core::error::Error for SnapshotError {}
 /// A run of one experiment: Safe training, then one learner in the Full world.
 #[derive(Clone)]
 pub struct Run {
-    config: Config,
+    inner: Box<dyn Erased>,
+}
+
+/// First bytes of a snapshot.
+const MAGIC: &[u8; 8] = b"mcvlsnap";
+/// Version of the snapshot format.
+pub const SNAPSHOT_VERSION: u32 = 1;
+/// Bytes before the payload: magic, version, length, digest.
+const HEADER: usize = 8 + 4 + 8 + 8;
+
+/// A trainer whose world and learner are not named.
+trait Erased: Send {
+    fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError>;
+    fn config(&self) -> &Config;
+    fn status(&self) -> Status;
+    fn progress(&self) -> Progress;
+    fn choose(&mut self, agent: Learner) -> Option<()>;
+    fn state(&self) -> Vec<u8>;
+    fn spec(&self) -> &EnvSpec;
+    fn frame(&self) -> Frame;
+    fn tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)>;
+    fn boxed_clone(&self) -> Box<dyn Erased>;
+}
+
+impl Clone for Box<dyn Erased> {
+    fn clone(&self) -> Self {
+        self.boxed_clone()
+    }
+}
+
+/// A gridworld trainer with its forecaster.
+#[derive(Clone)]
+struct Typed<E: Environment<Action = Discrete>> {
+    trainer: Trainer<E, Ddqn>,
+    forecaster: CpuForecaster<Ddqn>,
+}
+
+impl<E> Erased for Typed<E>
+where
+    E: Environment<Action = Discrete> + Serialize + Send + 'static,
+{
+    fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
+        self.trainer.poll(&mut self.forecaster, budget, recorder)
+    }
+
+    fn config(&self) -> &Config {
+        self.trainer.config()
+    }
+
+    fn status(&self) -> Status {
+        self.trainer.status()
+    }
+
+    fn progress(&self) -> Progress {
+        self.trainer.progress()
+    }
+
+    fn choose(&mut self, agent: Learner) -> Option<()> {
+        self.trainer.choose(agent)
+    }
+
+    fn state(&self) -> Vec<u8> {
+        postcard::to_allocvec(&self.trainer).expect("plain data has a binary form")
+    }
+
+    fn spec(&self) -> &EnvSpec {
+        self.trainer.world().spec()
+    }
+
+    fn frame(&self) -> Frame {
+        self.trainer.world().frame()
+    }
+
+    fn tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)> {
+        let agent = self.trainer.agent();
+        let networks = [
+            ("value", agent.online()),
+            ("value_target", agent.target()),
+            ("reward", self.trainer.reward_model().network()),
+        ];
+        let mut tensors = Vec::new();
+        for (name, network) in networks {
+            for layer in 0..network.sizes().len() - 1 {
+                let (weights, bias) = network.layer(layer);
+                let values = |x: &mut dyn Iterator<Item = &f32>| x.copied().collect();
+                tensors.push((format!("{name}.{layer}.weight"), weights.shape().to_vec(), values(&mut weights.iter())));
+                tensors.push((format!("{name}.{layer}.bias"), bias.shape().to_vec(), values(&mut bias.iter())));
+            }
+        }
+        tensors
+    }
+
+    fn boxed_clone(&self) -> Box<dyn Erased> {
+        Box::new(self.clone())
+    }
+}
+
+/// Safe and Full worlds of a configuration.
+fn box_moving(config: &Config) -> (BoxMoving, BoxMoving) {
+    let full = match config.variant.as_str() {
+        "no-inconsistency" => Variant::NoInconsistency,
+        "no-hack" => Variant::NoHack,
+        _ => Variant::Full,
+    };
+    (BoxMoving::new(Variant::Safe, config.flag), BoxMoving::new(full, config.flag))
+}
+
+impl<E: Environment<Action = Discrete>> From<Trainer<E, Ddqn>> for Typed<E> {
+    fn from(trainer: Trainer<E, Ddqn>) -> Self {
+        Self { trainer, forecaster: CpuForecaster::default() }
+    }
 }
 
 impl Run {
     /// A run from its beginning.
     pub fn new(config: &Config) -> Self {
-        Self { config: config.clone() }
+        let (safe, full) = box_moving(config);
+        Self { inner: Box::new(Typed::from(Trainer::gridworld(config.clone(), safe, full))) }
     }
 
     /// The configuration: the run as text.
     pub fn config(&self) -> &Config {
-        &self.config
+        self.inner.config()
     }
 
     /// Does a bounded amount of work. Never blocks, sleeps, spawns or prints; the budget has no
@@ -139,53 +270,118 @@ impl Run {
     ///
     /// # Errors
     /// If training diverged. The run is then of no further use.
-    pub fn poll(&mut self, _budget: Budget, _recorder: &mut dyn Recorder) -> Result<Status, RunError> {
-        unimplemented!()
+    pub fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
+        self.inner.poll(budget, recorder)
     }
 
     /// Where the run stands, without doing anything.
     pub fn status(&self) -> Status {
-        unimplemented!()
+        self.inner.status()
     }
 
     /// Figures for progress displays.
     pub fn progress(&self) -> Progress {
-        unimplemented!()
+        self.inner.progress()
     }
 
     /// A copy that continues from the switch with another learner: both share the Safe training.
     ///
     /// # Errors
     /// `None` unless the run stands at [`Status::Switch`] or before it.
-    pub fn fork(&self, _agent: Learner) -> Option<Self> {
-        unimplemented!()
+    pub fn fork(&self, agent: Learner) -> Option<Self> {
+        let mut copy = self.clone();
+        copy.inner.choose(agent).map(|()| copy)
     }
 
     /// The whole state as bytes; [`Run::resume`] continues to the last bit, wherever the poll stood.
+    /// Forecasts under way are not part of it: they are made again from the same start.
     pub fn snapshot(&self) -> Vec<u8> {
-        unimplemented!()
+        // The world's name comes first: it says which types the state has.
+        let state = self.inner.state();
+        let env = self.config().env.as_bytes();
+        let mut payload = Vec::with_capacity(1 + env.len() + state.len());
+        payload.push(env.len() as u8);
+        payload.extend_from_slice(env);
+        payload.extend_from_slice(&state);
+        let mut bytes = Vec::with_capacity(HEADER + payload.len());
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&SNAPSHOT_VERSION.to_le_bytes());
+        bytes.extend_from_slice(&(payload.len() as u64).to_le_bytes());
+        bytes.extend_from_slice(&Digest::default().bytes(&payload).finish().to_le_bytes());
+        bytes.extend_from_slice(&payload);
+        bytes
     }
 
     /// Continues from a snapshot.
     ///
     /// # Errors
     /// See [`SnapshotError`].
-    pub fn resume(_bytes: &[u8]) -> Result<Self, SnapshotError> {
-        unimplemented!()
+    pub fn resume(bytes: &[u8]) -> Result<Self, SnapshotError> {
+        let damaged = |why: String| SnapshotError::Damaged(why);
+        let found = bytes.len() as u64;
+        if bytes.len() < HEADER {
+            return Err(if MAGIC.starts_with(&bytes[..bytes.len().min(8)]) && !bytes.is_empty() {
+                SnapshotError::Truncated { found, expected: HEADER as u64 }
+            } else {
+                SnapshotError::Unrecognised
+            });
+        }
+        if &bytes[..8] != MAGIC {
+            return Err(SnapshotError::Unrecognised);
+        }
+        let number = |range: core::ops::Range<usize>| {
+            let mut word = [0; 8];
+            word[..range.len()].copy_from_slice(&bytes[range]);
+            u64::from_le_bytes(word)
+        };
+        let version = number(8..12) as u32;
+        if version != SNAPSHOT_VERSION {
+            return Err(SnapshotError::Version { found: version, expected: SNAPSHOT_VERSION });
+        }
+        let expected = number(12..20).saturating_add(HEADER as u64);
+        if found < expected {
+            return Err(SnapshotError::Truncated { found, expected });
+        }
+        let payload = &bytes[HEADER..];
+        if found > expected {
+            return Err(damaged(format!("{} bytes too many", found - expected)));
+        }
+        if Digest::default().bytes(payload).finish() != number(20..28) {
+            return Err(damaged("its bytes were altered".to_owned()));
+        }
+        let (name, state) = payload
+            .split_first()
+            .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
+            .ok_or_else(|| damaged("it names no world".to_owned()))?;
+        match core::str::from_utf8(name) {
+            Ok("box-moving") => typed::<BoxMoving>(state),
+            _ => Err(damaged("it is of a world that this program does not have".to_owned())),
+        }
+        .map(|inner| Self { inner })
     }
 
     /// Facts of the environment of the current leg: names of actions, legend, sizes.
     pub fn spec(&self) -> &EnvSpec {
-        unimplemented!()
+        self.inner.spec()
     }
 
     /// The current situation of the live environment.
     pub fn frame(&self) -> Frame {
-        unimplemented!()
+        self.inner.frame()
     }
 
     /// Named parameter tensors of the learner and the reward model: (name, shape, row-major values).
     pub fn tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)> {
-        unimplemented!()
+        self.inner.tensors()
     }
+}
+
+/// A trainer of this world from its binary form.
+fn typed<E>(state: &[u8]) -> Result<Box<dyn Erased>, SnapshotError>
+where
+    E: Environment<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
+{
+    let trainer: Trainer<E, Ddqn> = postcard::from_bytes(state)
+        .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
+    Ok(Box::new(Typed::from(trainer)))
 }

@@ -209,7 +209,8 @@ mod tests {
         let mut agent = agent(1e-3, 16);
         // A target network that differs, so that the two networks' roles show.
         agent.target = Mlp::new(&[4, 16, 16, 2], &mut Rng::new(7));
-        let samples = [transition(0, 1, 0.3, 2, false), transition(1, 0, -2.0, 3, true), transition(0, 1, 0.1, 0, false)];
+        let samples =
+            [transition(0, 1, 0.3, 2, false), transition(1, 0, -2.0, 3, true), transition(0, 1, 0.1, 0, false)];
         let expected: f32 = samples
             .iter()
             .map(|t| {
@@ -241,7 +242,9 @@ mod tests {
         // 0 → 1 → 2 → end with reward 1 at the end; "left" stays and pays nothing. γ = 0.5.
         let mut agent = agent(3e-3, 32);
         let samples: Vec<_> = (0..3)
-            .flat_map(|s| [transition(s, 0, 0.0, s, false), transition(s, 1, f32::from(u8::from(s == 2)), s + 1, s == 2)])
+            .flat_map(|s| {
+                [transition(s, 0, 0.0, s, false), transition(s, 1, f32::from(u8::from(s == 2)), s + 1, s == 2)]
+            })
             .collect();
         let batch = batch(&samples);
         for _ in 0..3000 {

@@ -235,7 +235,14 @@ mod tests {
     }
 
     /// The definition, one output after the other.
-    fn plain(m: usize, n: usize, k: usize, a: impl Fn(usize, usize) -> f32, b: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
+    fn plain(
+        m: usize,
+        n: usize,
+        k: usize,
+        a: impl Fn(usize, usize) -> f32,
+        b: &[f32],
+        bias: Option<&[f32]>,
+    ) -> Vec<f32> {
         let mut c = vec![0.0; m * n];
         for i in 0..m {
             for j in 0..n {

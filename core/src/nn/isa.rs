@@ -148,7 +148,9 @@ impl Lanes for Avx512 {
     fn sqrt(x: [f32; 16]) -> [f32; 16] {
         use core::arch::x86_64::{__m512, _mm512_sqrt_ps};
         // SAFETY: both types are 64 bytes of plain numbers; only code compiled for AVX-512 names this type.
-        unsafe { core::mem::transmute::<__m512, [f32; 16]>(_mm512_sqrt_ps(core::mem::transmute::<[f32; 16], __m512>(x))) }
+        unsafe {
+            core::mem::transmute::<__m512, [f32; 16]>(_mm512_sqrt_ps(core::mem::transmute::<[f32; 16], __m512>(x)))
+        }
     }
 }
 

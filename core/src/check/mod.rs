@@ -1,0 +1,88 @@
+//! The modification check: is the future that learned from a transition worse, by today's utility?
+//!
+//! The parts, in the order of their use:
+//! 1. [`Trigger`]: does this transition need a check?
+//! 2. two forecasts ([`crate::forecast`]), with and without the transition, otherwise equal;
+//! 3. [`utility`]: both futures act in the same copies of the world and are rated by the *current* reward
+//!    model and value function;
+//! 4. [`decide`]: refuse if the changed future is worse.
+
+pub mod utility;
+
+use crate::config::{Config, Scheme};
+use crate::record::Verdict;
+
+/// Which transitions are checked (specification R12).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trigger {
+    /// Those whose scaled reward differs from the predicted one by the threshold or more.
+    ByReward {
+        /// Least deviation.
+        threshold: f32,
+    },
+    /// Every one.
+    All,
+}
+
+impl Trigger {
+    /// The trigger of a configuration.
+    pub fn new(config: &Config) -> Self {
+        match config.scheme {
+            Scheme::ByReward => Trigger::ByReward { threshold: config.threshold },
+            Scheme::All => Trigger::All,
+        }
+    }
+
+    /// Whether a transition with this received and predicted reward is checked.
+    pub fn fires(self, reward: f32, predicted: f32) -> bool {
+        match self {
+            Trigger::ByReward { threshold } => (reward - predicted).abs() >= threshold,
+            Trigger::All => true,
+        }
+    }
+
+    /// Least deviation that is checked.
+    pub fn threshold(self) -> f32 {
+        match self {
+            Trigger::ByReward { threshold } => threshold,
+            Trigger::All => 0.0,
+        }
+    }
+}
+
+/// The decision between two futures (specification R24): the modified one is refused if its utility is
+/// lower by more than `tolerance`; ties accept.
+pub fn decide(modified: f64, unmodified: f64, tolerance: f32) -> Verdict {
+    if unmodified - modified > f64::from(tolerance) { Verdict::Refuse } else { Verdict::Accept }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fires_at_the_threshold_and_beyond() {
+        let trigger = Trigger::ByReward { threshold: 0.5 };
+        assert!(trigger.fires(1.0, 0.5) && trigger.fires(-1.0, 0.0) && !trigger.fires(0.4, 0.0));
+        assert!(Trigger::All.fires(0.0, 0.0));
+        assert!(Trigger::ByReward { threshold: 0.0 }.fires(0.25, 0.25), "threshold 0 checks all");
+    }
+
+    #[test]
+    fn refuses_only_what_is_worse() {
+        assert_eq!(decide(1.0, 2.0, 1e-6), Verdict::Refuse);
+        assert_eq!(decide(2.0, 1.0, 1e-6), Verdict::Accept);
+        assert_eq!(decide(1.0, 1.0, 1e-6), Verdict::Accept);
+        assert_eq!(decide(1.0, 1.0 + 1e-7, 1e-6), Verdict::Accept);
+    }
+
+    /// The ideal utilities of the fact sheet: refuse the hack, accept with the roles swapped.
+    #[test]
+    fn decides_the_ideal_cases() {
+        for (intended, hacking) in [(1.851, -1.851), (0.5155, 0.2754), (6.789, 3.327), (1.710, -0.209)] {
+            assert_eq!(decide(hacking, intended, 1e-6), Verdict::Refuse);
+            assert_eq!(decide(intended, hacking, 1e-6), Verdict::Accept);
+            assert_eq!(decide(intended, intended, 1e-6), Verdict::Accept);
+        }
+    }
+}

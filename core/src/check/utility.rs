@@ -1,0 +1,174 @@
+//! The utility of a policy: what the learner values *today* in what that policy does.
+//!
+//! For one rollout of at most `h` steps (paper equation 2, specification R20 to R23):
+//! ```text
+//! Σ_{t<n} γᵗ·R(s_t, a_t; ψ)  +  γⁿ·Q(s_n, a_n; θ)     a_t = π(s_t), n ≤ h
+//! ```
+//! with the current reward model and value, and the *forecast* policy's actions. A rollout that
+//! terminates ends without a final value; a truncated one gets it at its last state. Only predicted
+//! rewards count; the environment's own are not looked at.
+//!
+//! All rollouts of a policy go in step, so that each layer is computed for all of them at once.
+
+use alloc::vec;
+use alloc::vec::Vec;
+
+use crate::agent::Agent;
+use crate::agent::reward_model::RewardModel;
+use crate::config::{Config, FinalValue};
+use crate::env::{Action, Environment, EpisodeEnd};
+use crate::nn::mlp::Scratch;
+use crate::nn::rows::Rows;
+use crate::record::{Film, FutureRecord, StartState};
+use crate::rng::Rng;
+
+/// What the learner values today: its current value function and reward model.
+pub struct Judge<'a, A: Agent> {
+    /// Current value function.
+    pub value: &'a A,
+    /// Current reward model.
+    pub reward: &'a RewardModel,
+    /// Horizon, discounting and final value.
+    pub config: &'a Config,
+}
+
+/// Where a rollout starts: a world, the observation it shows, and its random numbers.
+#[derive(Clone, Debug)]
+pub struct Start<E> {
+    /// A fork of the world.
+    pub world: E,
+    /// Its observation.
+    pub observation: Vec<f32>,
+    /// Randomness of its steps.
+    pub rng: Rng,
+    /// For the record.
+    pub from: StartState,
+}
+
+impl<E: Environment> Start<E> {
+    /// A fresh reset of a copy of `world`; the copy draws from `rng` from then on.
+    pub fn reset(world: &E, mut rng: Rng) -> Self {
+        let mut world = world.clone();
+        let mut observation = vec![0.0; world.spec().observation.width];
+        world.reset(&mut rng, &mut observation);
+        Self { world, observation, rng, from: StartState::Reset }
+    }
+}
+
+/// One rated rollout.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Rollout {
+    /// Utility, scaled units.
+    pub utility: f64,
+    /// Sum of hidden rewards, raw: for the record only.
+    pub performance: f64,
+    /// Pictures, where wanted.
+    pub film: Option<Film>,
+}
+
+/// A rollout under way.
+struct Going<E> {
+    start: Start<E>,
+    sum: f64,
+    factor: f64,
+    performance: f64,
+    end: Option<EpisodeEnd>,
+    film: Option<Film>,
+}
+
+/// Rates `policy` from every start; makes a film of the first reset and of the current state.
+pub fn rate<E, A>(policy: &A, judge: &Judge<'_, A>, starts: Vec<Start<E>>) -> Vec<Rollout>
+where
+    E: Environment<Action = A::Action>,
+    A: Agent,
+{
+    let config = judge.config;
+    let gamma = if config.discount_utility { f64::from(config.gamma) } else { 1.0 };
+    let mut filmed_reset = false;
+    let mut going: Vec<Going<E>> = starts
+        .into_iter()
+        .map(|start| {
+            let wanted = start.from == StartState::Current || !core::mem::replace(&mut filmed_reset, true);
+            let film = wanted.then(|| Film {
+                start: start.from,
+                frames: vec![start.world.frame()],
+                actions: Vec::new(),
+                predicted: Vec::new(),
+                performance: Vec::new(),
+                bootstrap: 0.0,
+                utility: 0.0,
+            });
+            Going { start, sum: 0.0, factor: 1.0, performance: 0.0, end: None, film }
+        })
+        .collect();
+    let mut scratch = Scratch::default();
+    let (mut actions, mut numbers) = (Vec::new(), Vec::new());
+    for _ in 0..config.rollout_steps {
+        let Some(rows) = observe(&going, |g| g.end.is_none()) else { break };
+        policy.act(&rows, &mut scratch, &mut actions);
+        judge.reward.predict(&rows, &actions, &mut scratch, &mut numbers);
+        for ((g, action), &predicted) in going.iter_mut().filter(|g| g.end.is_none()).zip(&actions).zip(&numbers) {
+            let Start { world, observation, rng, .. } = &mut g.start;
+            let step = world.step(action, rng, observation);
+            g.sum += g.factor * f64::from(predicted);
+            g.factor *= gamma;
+            g.performance += f64::from(step.performance);
+            g.end = step.end;
+            if let Some(film) = &mut g.film {
+                film.frames.push(world.frame());
+                film.actions.push(action.value());
+                film.predicted.push(predicted);
+                film.performance.push(step.performance);
+            }
+        }
+    }
+    let open = |g: &Going<E>| g.end != Some(EpisodeEnd::Terminated);
+    if let Some(rows) = observe(&going, open) {
+        match config.final_value {
+            FinalValue::Live => {
+                policy.act(&rows, &mut scratch, &mut actions);
+                judge.value.values(&rows, &actions, &mut scratch, &mut numbers);
+            }
+            FinalValue::TargetMax => judge.value.target_values(&rows, &mut scratch, &mut numbers),
+        }
+        for (g, &value) in going.iter_mut().filter(|g| open(g)).zip(&numbers) {
+            let bootstrap = g.factor * f64::from(value);
+            g.sum += bootstrap;
+            if let Some(film) = &mut g.film {
+                film.bootstrap = bootstrap;
+            }
+        }
+    }
+    going
+        .into_iter()
+        .map(|mut g| {
+            if let Some(film) = &mut g.film {
+                film.utility = g.sum;
+            }
+            Rollout { utility: g.sum, performance: g.performance, film: g.film }
+        })
+        .collect()
+}
+
+/// Observations of the rollouts that `take` selects; none if there are none.
+fn observe<E: Environment>(going: &[Going<E>], take: impl Fn(&Going<E>) -> bool) -> Option<Rows> {
+    let first = going.iter().find(|g| take(g))?;
+    let mut rows = Rows::new(first.start.world.spec().observation);
+    going.iter().filter(|g| take(g)).for_each(|g| rows.push_observation(&g.start.observation));
+    Some(rows)
+}
+
+/// The record of a future: mean utility over `resets`, each standing for `weight` equal rollouts, and
+/// the rollout from the current state.
+pub fn summarise(resets: &[Rollout], weight: u32, current: Option<&Rollout>, digest: u64) -> FutureRecord {
+    let all = || resets.iter().flat_map(|r| core::iter::repeat_n(r, weight as usize)).chain(current);
+    let count = (resets.len() as f64) * f64::from(weight) + f64::from(u8::from(current.is_some()));
+    let mean = |of: fn(&Rollout) -> f64| all().map(of).sum::<f64>() / count;
+    FutureRecord {
+        utility: mean(|r| r.utility),
+        rollouts: all().map(|r| r.utility).collect(),
+        performance: mean(|r| r.performance),
+        digest: alloc::format!("{digest:016x}"),
+        films: resets.iter().chain(current).filter_map(|r| r.film.clone()).collect(),
+    }
+}

@@ -1,0 +1,72 @@
+//! Forecasts: what a learner becomes if it goes on training on what it has.
+//!
+//! The back ends meet at one trait, batch-first and polled. [`cpu::CpuForecaster`] is the reference.
+
+pub mod cpu;
+
+use alloc::vec::Vec;
+use core::fmt;
+use core::task::Poll;
+
+use crate::agent::Agent;
+use crate::replay::{ReplayBuffer, Transition};
+use crate::run::Budget;
+
+/// One future to train: a copy of `agent` makes `updates` updates on mini-batches from `replay`, each
+/// with the forced transitions appended (specification R13 to R17). Nothing of the job is changed.
+pub struct ForecastJob<'a, A: Agent> {
+    /// Start: parameters, target network and moments of the optimiser.
+    pub agent: &'a A,
+    /// Where the mini-batches come from.
+    pub replay: &'a ReplayBuffer<A::Action>,
+    /// Appended to every mini-batch.
+    pub forced: &'a [Transition<A::Action>],
+    /// Gradient updates to make; none are made while `replay` holds fewer than `batch` transitions.
+    pub updates: u32,
+    /// Mini-batch size, besides the forced transitions.
+    pub batch: u32,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Learner version: jobs with equal seed and version draw the same mini-batches.
+    pub version: u64,
+}
+
+/// Why a back end cannot finish a forecast.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ForecastError {
+    /// A loss became NaN or infinite.
+    NotFinite {
+        /// At which update of the forecast.
+        update: u32,
+    },
+    /// The back end failed; the run is intact and the forecast can be asked for again.
+    BackEnd(alloc::string::String),
+}
+
+impl fmt::Display for ForecastError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ForecastError::NotFinite { update } => {
+                write!(f, "the loss is not a finite number at update {update} of a forecast")
+            }
+            ForecastError::BackEnd(why) => write!(f, "the forecasting back end failed: {why}"),
+        }
+    }
+}
+
+impl core::error::Error for ForecastError {}
+
+/// Trains copies of an agent forward. Call with the same jobs until `Ready`; results are in job order.
+pub trait Forecaster<A: Agent> {
+    /// Does at most about `budget` updates and reduces it by what was done.
+    ///
+    /// # Errors
+    /// See [`ForecastError`]; the back end is then ready for other jobs.
+    fn poll(&mut self, jobs: &[ForecastJob<'_, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>>;
+
+    /// Part of the jobs under way that is done, 0 to 1.
+    fn progress(&self) -> f32;
+
+    /// Forgets the jobs under way.
+    fn cancel(&mut self);
+}
