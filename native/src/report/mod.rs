@@ -1,0 +1,11 @@
+//! What runs say to people: statistics, claims, figures, films of both futures and the report page.
+//!
+//! Everything here reads a finished [`RunSet`](crate::runs::RunSet) and returns text or bytes: nothing
+//! touches a file, a clock or a terminal, so the same runs always give the same report.
+
+pub mod claims;
+pub mod expression;
+pub mod statistics;
+
+#[cfg(test)]
+mod samples;
