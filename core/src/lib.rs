@@ -8,6 +8,7 @@ pub mod check;
 pub mod config;
 pub mod digest;
 pub mod env;
+pub mod exact;
 pub mod experiment;
 pub mod forecast;
 pub mod nn;
