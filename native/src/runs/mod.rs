@@ -1,9 +1,49 @@
 //! Run directories: what lies in them, how it is written and read back.
+//!
+//! ```text
+//! runs/box-moving/            RunDir     one `mcvl train`
+//!   run.toml                  Plan       every setting with its origin, seeds, learners
+//!   manifest.json             Manifest   machine, versions, digests of finished files
+//!   summary.json, curves.svg, curves.png
+//!   seed-0/                   SeedDir    one job: Safe, then each learner from the same switch
+//!     metrics.jsonl  steps.csv  ledger.jsonl  tapes/check-17.json
+//!     checkpoints/state.snapshot  switch.snapshot  safe.safetensors  mc.safetensors
+//! ```
+//!
+//! Two rules hold it together. Logs only grow, and are synced *before* the checkpoint that records
+//! their lengths, so a kill at any moment leaves a checkpoint whose logs are there. Everything else is
+//! written under a temporary name, synced, then renamed.
 
-use std::path::PathBuf;
+mod chain;
+mod checkpoint;
+mod job;
+mod layout;
+mod manifest;
+mod plan;
+mod pool;
+mod read;
+mod token;
+mod verify;
+mod write;
+
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Config;
 use mcvl_core::record::{CheckRecord, EndRecord, EpisodeRecord, EvaluationRecord, LearnerRecord};
+use mcvl_core::run::RunError;
+
+pub use chain::{Chain, LedgerLine, sha256};
+pub use job::{Ending, Job, ReadyJob};
+pub use layout::{Place, Reference, RunDir, SeedDir};
+pub use manifest::{FileDigest, Manifest, State};
+pub use plan::{Origin, Plan, Setting};
+pub use pool::{Control, Outcome, SeedView, train};
+pub use read::{ledger, lines, tape};
+pub use token::Token;
+pub use verify::{Finding, Verification, verify};
+pub use write::{Lock, STEP_COLUMNS, SeedWriter, step_row, write_atomic};
 
 /// One seed of a run directory, read back: the Safe leg and every learner's Full leg.
 #[derive(Clone, Debug)]
@@ -36,3 +76,59 @@ pub struct RunSet {
     /// Seeds in ascending order.
     pub seeds: Vec<SeedRun>,
 }
+
+/// Why something cannot be done with a run directory. The kinds differ in what the caller can do.
+#[derive(Debug)]
+pub enum RunsError {
+    /// The machine refused: disk, rights, devices.
+    Io {
+        /// What was being done, as it follows "cannot".
+        doing: &'static str,
+        /// With which file.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// A file is not what was written.
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it, and what to do.
+        why: String,
+    },
+    /// The request does not fit what is there: what, where, what to do.
+    Request(String),
+    /// Training diverged.
+    Diverged {
+        /// The seed.
+        seed: u64,
+        /// What happened.
+        source: RunError,
+    },
+}
+
+impl RunsError {
+    /// For `map_err`: names the operation and the file.
+    pub fn io(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { doing, path, source }
+    }
+
+    /// A file that is not what was written.
+    pub fn damaged(path: &Path, why: impl Into<String>) -> Self {
+        Self::Damaged { path: path.to_owned(), why: why.into() }
+    }
+}
+
+impl fmt::Display for RunsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io { doing, path, source } => write!(f, "cannot {doing} {}: {source}", path.display()),
+            Self::Damaged { path, why } => write!(f, "{}: {why}", path.display()),
+            Self::Request(what) => f.write_str(what),
+            Self::Diverged { seed, source } => write!(f, "seed {seed}: {source}"),
+        }
+    }
+}
+
+impl std::error::Error for RunsError {}

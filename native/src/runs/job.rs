@@ -1,0 +1,224 @@
+//! One seed of a run directory, from its beginning or a checkpoint to its end: Safe training, then each
+//! learner from the same switch.
+
+use std::time::{Duration, Instant};
+
+use mcvl_core::config::{Config, Learner};
+use mcvl_core::record::{Arm, Event, Recorder};
+use mcvl_core::run::{Budget, Progress, Run, Status};
+
+use super::checkpoint::Checkpoint;
+use super::pool::Control;
+use super::write::{SeedWriter, check_logs, write_weights};
+use super::{RunsError, SeedDir, read};
+
+/// Work per poll: short enough that a signal is answered in the blink of an eye, long enough that the
+/// rest costs nothing.
+const BUDGET: Budget = Budget(64);
+
+/// A kill loses at most about this much work.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
+
+/// One seed: what to do.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// Configuration, with this job's seed.
+    pub config: Config,
+    /// Learners of the Full phase, in order.
+    pub learners: Vec<Learner>,
+    /// Where its files lie.
+    pub dir: SeedDir,
+}
+
+/// A job that is known to be able to start: reading and checking come before the first change.
+pub struct ReadyJob {
+    job: Job,
+    start: Start,
+}
+
+enum Start {
+    Beginning,
+    Middle { checkpoint: Box<Checkpoint>, switch: Option<Box<Run>> },
+    Finished,
+}
+
+/// How a job ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// Every leg is finished.
+    Finished,
+    /// Stopped on request, its state saved.
+    Interrupted,
+}
+
+/// Watches a job. Influences nothing.
+pub trait Watcher {
+    /// Called after every piece of work.
+    fn progress(&mut self, finished_legs: usize, progress: Progress);
+    /// Called for every event.
+    fn event(&mut self, event: &Event);
+}
+
+/// The leg in which a learner trains.
+pub fn arm_of(learner: Learner) -> Arm {
+    match learner {
+        Learner::Baseline => Arm::Baseline,
+        Learner::Mc => Arm::Mc,
+    }
+}
+
+impl Job {
+    /// A job that starts at its beginning.
+    pub fn ready(self) -> ReadyJob {
+        ReadyJob { job: self, start: Start::Beginning }
+    }
+
+    /// A job that continues from its last checkpoint, or starts if there is none. Changes nothing.
+    ///
+    /// # Errors
+    /// If the checkpoint or a file it counts on is damaged or cannot be read.
+    pub fn resume(self) -> Result<ReadyJob, RunsError> {
+        let path = self.dir.state();
+        if !path.exists() {
+            return Ok(self.ready());
+        }
+        let checkpoint = Checkpoint::read(&path)?;
+        let legs = 1 + self.learners.len();
+        let agent = checkpoint.run.config().agent;
+        if checkpoint.finished > legs
+            || self.config.with_agent(agent) != *checkpoint.run.config()
+            || checkpoint.finished < legs && self.learners[checkpoint.finished.saturating_sub(1)] != agent
+        {
+            return Err(RunsError::damaged(&path, "is of another run than run.toml describes"));
+        }
+        check_logs(&self.dir, &checkpoint.logs)?;
+        read::check_tapes(&self.dir, checkpoint.logs.checks)?;
+        // Learners that have yet to begin fork from the switch.
+        let switch = match checkpoint.finished {
+            0 => None,
+            finished if finished + 1 >= legs => None,
+            _ => Some(Box::new(self.switch()?)),
+        };
+        let start = if checkpoint.finished == legs {
+            Start::Finished
+        } else {
+            Start::Middle { checkpoint: Box::new(checkpoint), switch }
+        };
+        Ok(ReadyJob { job: self, start })
+    }
+
+    fn switch(&self) -> Result<Run, RunsError> {
+        let run = Checkpoint::read(&self.dir.switch())?.run;
+        if *run.config() != self.config.with_agent(run.config().agent) {
+            return Err(RunsError::damaged(&self.dir.switch(), "is of another run than run.toml describes"));
+        }
+        Ok(run)
+    }
+
+    fn arm(&self, leg: usize) -> Arm {
+        if leg == 0 { Arm::Safe } else { arm_of(self.learners[leg - 1]) }
+    }
+}
+
+impl ReadyJob {
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.job.config.seed
+    }
+
+    /// Whether nothing is left to do.
+    pub fn is_finished(&self) -> bool {
+        matches!(self.start, Start::Finished)
+    }
+
+    /// How a job ends that is not even begun.
+    pub fn untouched(&self) -> Ending {
+        if self.is_finished() { Ending::Finished } else { Ending::Interrupted }
+    }
+
+    /// Works until the job is finished or `control` says stop.
+    ///
+    /// # Errors
+    /// If training diverges or a file cannot be written; what was saved before stays.
+    pub fn run(self, control: &Control, watcher: &mut dyn Watcher) -> Result<Ending, RunsError> {
+        let job = self.job;
+        let (mut run, mut finished, mut switch, writer) = match self.start {
+            Start::Finished => return Ok(Ending::Finished),
+            Start::Beginning => {
+                let writer = SeedWriter::create(&job.dir, &job.config.with_agent(Learner::Mc))?;
+                (Run::new(&job.config.with_agent(job.learners[0])), 0, None, writer)
+            }
+            Start::Middle { checkpoint, switch } => {
+                let writer = SeedWriter::reopen(&job.dir, &checkpoint.logs)?;
+                (checkpoint.run, checkpoint.finished, switch.map(|run| *run), writer)
+            }
+        };
+        let mut recorder = Tee { writer, watcher };
+        while finished <= job.learners.len() {
+            if leg(&job, finished, &mut run, &mut recorder, control)? == Ending::Interrupted {
+                return Ok(Ending::Interrupted);
+            }
+            let logs = recorder.writer.sync()?;
+            write_weights(&job.dir.weights(job.arm(finished)), &run)?;
+            finished += 1;
+            if finished == 1 {
+                Checkpoint::write(&job.dir.switch(), finished, &logs, &run)?;
+                switch = Some(run.clone());
+            }
+            if let Some(&next) = job.learners.get(finished - 1) {
+                let fork = switch.as_ref().and_then(|switch| switch.fork(next));
+                run = fork.ok_or_else(|| RunsError::damaged(&job.dir.switch(), "does not stand at the switch"))?;
+            }
+            Checkpoint::write(&job.dir.state(), finished, &logs, &run)?;
+        }
+        Ok(Ending::Finished)
+    }
+}
+
+/// Works on one leg until it is finished or `control` says stop; then its state is saved.
+fn leg(
+    job: &Job,
+    finished: usize,
+    run: &mut Run,
+    recorder: &mut Tee<'_>,
+    control: &Control,
+) -> Result<Ending, RunsError> {
+    let mut saved = Instant::now();
+    loop {
+        let stop = control.stopped();
+        if stop || saved.elapsed() >= CHECKPOINT_EVERY {
+            let logs = recorder.writer.sync()?;
+            Checkpoint::write(&job.dir.state(), finished, &logs, run)?;
+            saved = Instant::now();
+        }
+        if stop {
+            return Ok(Ending::Interrupted);
+        }
+        let status = match run.poll(BUDGET, recorder) {
+            Ok(status) => status,
+            Err(source) => {
+                // What led there is worth reading, so it goes to the disk; the checkpoint stays before it.
+                recorder.writer.sync()?;
+                return Err(RunsError::Diverged { seed: job.config.seed, source });
+            }
+        };
+        recorder.writer.healthy()?;
+        recorder.watcher.progress(finished, run.progress());
+        if matches!((finished, status), (0, Status::Switch) | (1.., Status::Done)) {
+            return Ok(Ending::Finished);
+        }
+    }
+}
+
+/// Files first, then whoever watches.
+struct Tee<'a> {
+    writer: SeedWriter,
+    watcher: &'a mut dyn Watcher,
+}
+
+impl Recorder for Tee<'_> {
+    fn record(&mut self, event: &Event) {
+        self.writer.record(event);
+        self.watcher.event(event);
+    }
+}

@@ -1,0 +1,283 @@
+//! Where everything lies in a run directory, and how the command line names parts of it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use mcvl_core::record::Arm;
+
+use super::RunsError;
+
+/// A run directory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunDir(PathBuf);
+
+/// Files that training and reports write at the top of a run directory.
+const OWN_FILES: &[&str] =
+    &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", "report.html", ".lock"];
+
+impl RunDir {
+    /// The directory at `path`, which need not exist.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self(path.into())
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    /// Settings, seeds and learners.
+    pub fn plan(&self) -> PathBuf {
+        self.0.join("run.toml")
+    }
+
+    /// Machine, versions and digests.
+    pub fn manifest(&self) -> PathBuf {
+        self.0.join("manifest.json")
+    }
+
+    /// Claims and statistics.
+    pub fn summary(&self) -> PathBuf {
+        self.0.join("summary.json")
+    }
+
+    /// Learning curves: as SVG with `svg`, as PNG with `png`.
+    pub fn curves(&self, extension: &str) -> PathBuf {
+        self.0.join("curves").with_extension(extension)
+    }
+
+    /// Held by the process that trains here.
+    pub fn lock(&self) -> PathBuf {
+        self.0.join(".lock")
+    }
+
+    /// The folder of a seed.
+    pub fn seed(&self, seed: u64) -> SeedDir {
+        SeedDir { path: self.0.join(format!("seed-{seed}")), seed }
+    }
+
+    /// Whether a run was begun here.
+    pub fn exists(&self) -> bool {
+        self.plan().exists()
+    }
+
+    /// Whether nothing is here that would be in the way of a new run.
+    ///
+    /// # Errors
+    /// If the folder cannot be read, or is none.
+    pub fn is_free(&self) -> Result<bool, RunsError> {
+        if !self.0.exists() {
+            return Ok(true);
+        }
+        let mut entries = fs::read_dir(&self.0).map_err(RunsError::io("read the folder", &self.0))?;
+        Ok(entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == ".lock")))
+    }
+
+    /// The first of `DIR-2`, `DIR-3`, … that is free.
+    ///
+    /// # Errors
+    /// If one of them cannot be read.
+    pub fn next_free(&self) -> Result<Self, RunsError> {
+        let mut number = 2u32;
+        loop {
+            let mut name = self.0.file_name().unwrap_or_default().to_owned();
+            name.push(format!("-{number}"));
+            let candidate = Self(self.0.with_file_name(name));
+            if candidate.is_free()? {
+                return Ok(candidate);
+            }
+            number += 1;
+        }
+    }
+
+    /// Deletes what training and reports wrote here, and nothing else; the lock stays.
+    ///
+    /// # Errors
+    /// If something cannot be deleted.
+    pub fn clear(&self) -> Result<(), RunsError> {
+        let entries = fs::read_dir(&self.0).map_err(RunsError::io("read the folder", &self.0))?;
+        for entry in entries {
+            let path = entry.map_err(RunsError::io("read the folder", &self.0))?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if seed_of(&name).is_some() {
+                fs::remove_dir_all(&path).map_err(RunsError::io("delete", &path))?;
+            } else if name != ".lock" && (OWN_FILES.contains(&name.as_str()) || is_temporary(&name)) {
+                fs::remove_file(&path).map_err(RunsError::io("delete", &path))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Ending of the names under which files are written before they are renamed.
+pub const TEMPORARY: &str = ".tmp";
+
+/// Whether a file is one that a killed process may have left half written.
+pub fn is_temporary(name: &str) -> bool {
+    name.ends_with(TEMPORARY)
+}
+
+fn seed_of(name: &str) -> Option<u64> {
+    name.strip_prefix("seed-")?.parse().ok()
+}
+
+/// The folder of one seed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SeedDir {
+    path: PathBuf,
+    seed: u64,
+}
+
+impl SeedDir {
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Every event but steps and checks.
+    pub fn metrics(&self) -> PathBuf {
+        self.path.join("metrics.jsonl")
+    }
+
+    /// One row per environment step.
+    pub fn steps(&self) -> PathBuf {
+        self.path.join("steps.csv")
+    }
+
+    /// One line per check.
+    pub fn ledger(&self) -> PathBuf {
+        self.path.join("ledger.jsonl")
+    }
+
+    /// Folder of the tapes.
+    pub fn tapes(&self) -> PathBuf {
+        self.path.join("tapes")
+    }
+
+    /// A check with its films.
+    pub fn tape(&self, number: u32) -> PathBuf {
+        self.tapes().join(format!("check-{number}.json"))
+    }
+
+    /// Folder of checkpoints and weights.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.path.join("checkpoints")
+    }
+
+    /// The latest exact state.
+    pub fn state(&self) -> PathBuf {
+        self.checkpoints().join("state.snapshot")
+    }
+
+    /// The exact state at the switch, from which each learner continues.
+    pub fn switch(&self) -> PathBuf {
+        self.checkpoints().join("switch.snapshot")
+    }
+
+    /// Weights at the end of a leg.
+    pub fn weights(&self, arm: Arm) -> PathBuf {
+        self.checkpoints().join(format!("{}.safetensors", arm.name()))
+    }
+}
+
+/// A run directory, or one seed of it, as named on the command line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The run directory.
+    pub run: RunDir,
+    /// The seed whose folder was named.
+    pub seed: Option<u64>,
+}
+
+impl Place {
+    /// Finds the run that `path` names: its directory or the folder of a seed in it.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn find(path: &Path) -> Result<Self, RunsError> {
+        let run = RunDir::new(path);
+        if run.exists() {
+            return Ok(Self { run, seed: None });
+        }
+        let seed = path.file_name().and_then(|name| seed_of(&name.to_string_lossy()));
+        let parent = RunDir::new(path.parent().unwrap_or(Path::new("")));
+        match seed {
+            Some(seed) if parent.exists() => Ok(Self { run: parent, seed: Some(seed) }),
+            _ if path.exists() => Err(RunsError::Request(format!(
+                "{} is no run directory: it has no run.toml (a run is made by `mcvl train`)",
+                path.display()
+            ))),
+            _ => {
+                let near = siblings(path);
+                Err(RunsError::Request(format!("there is no run at {}{near}", path.display())))
+            }
+        }
+    }
+}
+
+/// «; there are a, b»: runs beside a path that does not exist.
+fn siblings(path: &Path) -> String {
+    let Ok(entries) = fs::read_dir(path.parent().unwrap_or(Path::new("."))) else {
+        return "; `mcvl train ENV` makes one".to_owned();
+    };
+    let mut names: Vec<String> = entries
+        .flatten()
+        .filter(|entry| RunDir::new(entry.path()).exists())
+        .map(|entry| path.with_file_name(entry.file_name()).display().to_string())
+        .collect();
+    names.sort();
+    if names.is_empty() {
+        "; `mcvl train ENV` makes one".to_owned()
+    } else {
+        format!("; there are {}", names.join(", "))
+    }
+}
+
+/// `RUN#17`: a check of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reference {
+    /// The run or seed.
+    pub place: PathBuf,
+    /// Number of the check, from 1.
+    pub number: u32,
+}
+
+impl std::str::FromStr for Reference {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wanted = "a check is named like runs/box-moving#17 or runs/box-moving/seed-3#17";
+        let (place, number) = text.rsplit_once('#').ok_or_else(|| format!("`{text}` names no check: {wanted}"))?;
+        match number.parse() {
+            Ok(number) if number > 0 && !place.is_empty() => Ok(Self { place: place.into(), number }),
+            _ => Err(format!("`{text}` names no check: {wanted}, counted from 1")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn references() {
+        let reference: Reference = "runs/a#b/seed-3#17".parse().unwrap();
+        assert_eq!(reference, Reference { place: "runs/a#b/seed-3".into(), number: 17 });
+        for bad in ["runs/box", "runs/box#", "runs/box#0", "#4", "runs/box#-1", "runs/box#x"] {
+            assert!(bad.parse::<Reference>().unwrap_err().contains("#17"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn seed_folders() {
+        assert_eq!(
+            (seed_of("seed-7"), seed_of("seed-x"), seed_of("seed"), seed_of("seed--1")),
+            (Some(7), None, None, None)
+        );
+    }
+}

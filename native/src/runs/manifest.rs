@@ -1,0 +1,173 @@
+//! `manifest.json`: by what and on what a run was made, and the digest of every finished file.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+use std::{env, thread};
+
+use serde::{Deserialize, Serialize};
+use sha2::Digest as _;
+
+use super::chain::{hex, sha256, sha256_of};
+use super::layout::is_temporary;
+use super::write::write_atomic;
+use super::{RunDir, RunsError};
+
+/// How a run stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// Training began; if nobody holds the lock, it was killed.
+    Running,
+    /// Stopped with its state saved.
+    Interrupted,
+    /// Every leg of every seed is finished.
+    Finished,
+    /// Training of some seed diverged; the others are finished.
+    Diverged,
+}
+
+/// Length and digest of a file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileDigest {
+    /// Length.
+    pub bytes: u64,
+    /// SHA-256, hexadecimal.
+    pub sha256: String,
+}
+
+impl FileDigest {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// If that fails.
+    pub fn of(path: &Path) -> Result<Self, RunsError> {
+        let (bytes, digest) = File::open(path).and_then(sha256_of).map_err(RunsError::io("read", path))?;
+        Ok(Self { bytes, sha256: hex(&digest.finalize()) })
+    }
+}
+
+/// What made a run, and what it made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of this file's format.
+    pub format: u32,
+    /// Version of mcvl.
+    pub version: String,
+    /// Commit it was built from, where known.
+    pub commit: Option<String>,
+    /// Compiler that built it.
+    pub compiler: String,
+    /// Platform it was built for.
+    pub target: String,
+    /// Vector unit that core chose: it changes speed, never a bit.
+    pub vector: String,
+    /// Processor.
+    pub cpu: String,
+    /// Cores that were there.
+    pub cores: usize,
+    /// When training began (UTC).
+    pub started: String,
+    /// When it ended last (UTC).
+    pub ended: Option<String>,
+    /// How the run stands.
+    pub state: State,
+    /// Finished files, by path in the run directory with `/` between folders.
+    pub files: BTreeMap<String, FileDigest>,
+    /// Digest of this file without this field.
+    #[serde(default)]
+    pub seal: String,
+}
+
+impl Manifest {
+    /// The manifest of a run that begins now on this machine.
+    pub fn begin() -> Self {
+        Self {
+            format: 1,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            commit: Some(env!("MCVL_BUILD_COMMIT").to_owned()).filter(|commit| !commit.is_empty()),
+            compiler: env!("MCVL_BUILD_COMPILER").to_owned(),
+            target: env!("MCVL_BUILD_TARGET").to_owned(),
+            vector: mcvl_core::nn::isa::Isa::active().name().to_owned(),
+            cpu: cpu(),
+            cores: thread::available_parallelism().map_or(1, usize::from),
+            started: now(),
+            ended: None,
+            state: State::Running,
+            files: BTreeMap::new(),
+            seal: String::new(),
+        }
+    }
+
+    fn sealed(&self) -> String {
+        let bare = Self { seal: String::new(), ..self.clone() };
+        sha256(&serde_json::to_vec(&bare).expect("a manifest is plain data"))
+    }
+
+    /// Reads the manifest of a run.
+    ///
+    /// # Errors
+    /// If it cannot be read or is none.
+    pub fn read(run: &RunDir) -> Result<Self, RunsError> {
+        let path = run.manifest();
+        let bytes = fs::read(&path).map_err(RunsError::io("read", &path))?;
+        serde_json::from_slice(&bytes).map_err(|error| RunsError::damaged(&path, format!("is no manifest: {error}")))
+    }
+
+    /// Whether the manifest is as it was written.
+    pub fn is_intact(&self) -> bool {
+        self.seal == self.sealed()
+    }
+
+    /// Writes the manifest, with the digests of the files at the top of the run and of `seeds`.
+    ///
+    /// # Errors
+    /// If a file cannot be read or the manifest not be written.
+    pub fn write(&mut self, run: &RunDir, state: State, seeds: &[u64]) -> Result<(), RunsError> {
+        self.state = state;
+        self.ended = (state != State::Running).then(now);
+        self.files.clear();
+        let top = [run.plan(), run.summary(), run.curves("svg"), run.curves("png")];
+        let mut files: Vec<PathBuf> = top.into_iter().filter(|path| path.exists()).collect();
+        for seed in seeds {
+            list(run.seed(*seed).path(), &mut files)?;
+        }
+        for path in files {
+            self.files.insert(name(run, &path), FileDigest::of(&path)?);
+        }
+        self.seal = self.sealed();
+        let text = serde_json::to_string_pretty(self).expect("a manifest is plain data") + "\n";
+        write_atomic(&run.manifest(), text.as_bytes())
+    }
+}
+
+/// Path inside the run directory, the same on every platform.
+pub fn name(run: &RunDir, path: &Path) -> String {
+    let inside = path.strip_prefix(run.path()).unwrap_or(path);
+    inside.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
+}
+
+/// Adds every file under `folder`.
+pub fn list(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), RunsError> {
+    for entry in fs::read_dir(folder).map_err(RunsError::io("read the folder", folder))? {
+        let path = entry.map_err(RunsError::io("read the folder", folder))?.path();
+        if path.is_dir() {
+            list(&path, files)?;
+        } else if !is_temporary(&path.to_string_lossy()) {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+fn now() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
+
+/// Name of the processor, as far as the system tells.
+pub fn cpu() -> String {
+    let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    model.map_or_else(|| env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
+}

@@ -1,0 +1,152 @@
+//! `run.toml`: what a run directory is about, with the origin of every value.
+
+use std::fmt::Write as _;
+use std::fs;
+
+use mcvl_core::config::{Config, KEYS, Learner};
+use serde::{Deserialize, Serialize};
+
+use super::write::write_atomic;
+use super::{RunDir, RunsError};
+
+/// Where the value of a setting came from, weakest first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Origin(pub String);
+
+impl Origin {
+    /// The tables of the paper.
+    pub fn default_value() -> Self {
+        Self("default".to_owned())
+    }
+}
+
+/// One setting as it was used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Setting {
+    /// The value as text.
+    pub value: String,
+    /// Where it came from.
+    pub from: Origin,
+}
+
+/// Everything that decides the results of a run directory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// What all seeds share; its `seed` is the first one.
+    pub config: Config,
+    /// Seeds in ascending order.
+    pub seeds: Vec<u64>,
+    /// Learners of the Full phase, in the order in which they run.
+    pub learners: Vec<Learner>,
+    /// Value and origin of every setting, in the order of [`KEYS`].
+    pub settings: Vec<(String, Setting)>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    config: Config,
+    seeds: Vec<String>,
+    learners: Vec<Learner>,
+    settings: std::collections::BTreeMap<String, Setting>,
+}
+
+impl Plan {
+    /// The text of `run.toml`.
+    pub fn to_toml(&self) -> String {
+        let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
+        let list = |items: Vec<String>| format!("[{}]", items.join(", "));
+        let mut text = String::from(
+            "# A run of mcvl: every setting and where its value came from. `mcvl train --resume` and\n\
+             # `mcvl verify` read this file; `config` alone brings the run back.\n",
+        );
+        let mut line = |key: &str, value: String| writeln!(text, "{key} = {value}").expect("a string takes everything");
+        line("config", quoted(&self.config.to_string()));
+        // As text: TOML's integers end below the largest seed.
+        line("seeds", list(self.seeds.iter().map(|seed| quoted(&seed.to_string())).collect()));
+        line("learners", list(self.learners.iter().map(|learner| quoted(learner.name())).collect()));
+        text.push_str("\n[settings]\n");
+        for (key, setting) in &self.settings {
+            let (value, from) = (quoted(&setting.value), quoted(&setting.from.0));
+            writeln!(text, "{key} = {{ value = {value}, from = {from} }}").expect("a string takes everything");
+        }
+        text
+    }
+
+    /// Reads `run.toml` back.
+    ///
+    /// # Errors
+    /// If it cannot be read or contradicts itself.
+    pub fn read(run: &RunDir) -> Result<Self, RunsError> {
+        let path = run.plan();
+        let text = fs::read_to_string(&path).map_err(RunsError::io("read", &path))?;
+        Self::parse(&text).map_err(|why| RunsError::damaged(&path, why))
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let file: File = toml::from_str(text).map_err(|error| format!("is no run.toml: {error}"))?;
+        let seeds: Option<Vec<u64>> = file.seeds.iter().map(|seed| seed.parse().ok()).collect();
+        let Some(seeds) = seeds.filter(|seeds| !seeds.is_empty() && seeds.is_sorted_by(|a, b| a < b)) else {
+            return Err("its list of seeds makes no sense".to_owned());
+        };
+        if file.learners.is_empty() || seeds[0] != file.config.seed {
+            return Err("its seeds and learners do not fit its configuration".to_owned());
+        }
+        let mut settings = Vec::new();
+        for key in KEYS {
+            match file.settings.get(key.name) {
+                Some(setting) if setting.value == key.value(&file.config) => {
+                    settings.push((key.name.to_owned(), setting.clone()));
+                }
+                _ => return Err(format!("`{}` under [settings] contradicts `config`: the file was altered", key.name)),
+            }
+        }
+        Ok(Self { config: file.config, seeds, learners: file.learners, settings })
+    }
+
+    /// Writes `run.toml`.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&self, run: &RunDir) -> Result<(), RunsError> {
+        write_atomic(&run.plan(), self.to_toml().as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mcvl_core::config::Preset;
+
+    fn plan() -> Plan {
+        let mut config = Config::new("box-moving", Preset::Release).unwrap();
+        config.set("threshold", "0.125").unwrap();
+        config.seed = u64::MAX - 1;
+        let settings = KEYS
+            .iter()
+            .map(|key| {
+                let from = Origin(r#"file "a\b.toml""#.to_owned());
+                (key.name.to_owned(), Setting { value: key.value(&config), from })
+            })
+            .collect();
+        let learners = vec![Learner::Baseline, Learner::Mc];
+        Plan { config, seeds: vec![u64::MAX - 1, u64::MAX], learners, settings }
+    }
+
+    #[test]
+    fn text_round_trips() {
+        assert_eq!(Plan::parse(&plan().to_toml()).unwrap(), plan());
+    }
+
+    #[test]
+    fn contradictions_are_found() {
+        let text = plan().to_toml();
+        let altered = text.replace("threshold = { value = \"0.125\"", "threshold = { value = \"0.5\"");
+        assert_ne!(altered, text);
+        assert!(Plan::parse(&altered).unwrap_err().contains("`threshold` under [settings] contradicts"));
+        assert!(Plan::parse(&text[..text.len() / 2]).is_err());
+        assert!(Plan::parse(&text.replace("learners", "lerners")).is_err());
+    }
+}

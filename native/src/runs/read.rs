@@ -1,0 +1,133 @@
+//! Reading run directories back.
+
+use std::fs::{self, File};
+use std::io::{BufRead as _, BufReader, ErrorKind};
+use std::path::Path;
+
+use mcvl_core::config::Learner;
+use mcvl_core::record::{CheckRecord, Event};
+
+use super::chain::{Chain, LedgerLine};
+use super::{FileDigest, Place, Plan, RunSet, RunsError, SeedDir, SeedRun};
+
+impl RunSet {
+    /// Reads the run that `path` names: a run directory, or the folder of one seed in it. What an
+    /// unfinished run has so far is read as it is.
+    ///
+    /// # Errors
+    /// If there is no run, or a file of it is damaged.
+    pub fn read(path: &Path) -> Result<Self, RunsError> {
+        let place = Place::find(path)?;
+        let plan = Plan::read(&place.run)?;
+        let wanted = plan.seeds.iter().filter(|seed| place.seed.is_none_or(|only| only == **seed));
+        let folders = wanted.map(|seed| place.run.seed(*seed)).filter(|dir| dir.path().exists());
+        let seeds = folders.map(|dir| SeedRun::read(&dir, &plan)).collect::<Result<_, _>>()?;
+        Ok(Self { path: path.to_owned(), config: plan.config, seeds })
+    }
+}
+
+impl SeedRun {
+    /// Reads one seed.
+    ///
+    /// # Errors
+    /// If a file is damaged or missing.
+    pub fn read(dir: &SeedDir, plan: &Plan) -> Result<Self, RunsError> {
+        let mut seed = Self {
+            seed: dir.seed(),
+            path: dir.path().to_owned(),
+            evaluations: Vec::new(),
+            learner: Vec::new(),
+            episodes: Vec::new(),
+            checks: Vec::new(),
+            ends: Vec::new(),
+            complete: false,
+        };
+        let path = dir.metrics();
+        for (number, line) in lines(&path)?.iter().enumerate() {
+            let event = serde_json::from_str(line)
+                .map_err(|error| RunsError::damaged(&path, format!("line {} is no event: {error}", number + 1)))?;
+            match event {
+                Event::Episode(record) => seed.episodes.push(record),
+                Event::Evaluation(record) => seed.evaluations.push(record),
+                Event::Learner(record) => seed.learner.push(record),
+                Event::End(record) => seed.ends.push(record),
+                Event::Start(_) | Event::Step(_) | Event::Check(_) => {}
+            }
+        }
+        seed.complete = seed.ends.len() == 1 + plan.learners.len();
+        for (number, line) in ledger(dir)?.iter().enumerate() {
+            let check = line.check().map_err(|error| {
+                RunsError::damaged(&dir.ledger(), format!("line {} is no check: {error}", number + 1))
+            })?;
+            seed.checks.push(check);
+        }
+        Ok(seed)
+    }
+}
+
+/// Complete lines of a log. A last line without its end is one that is being written, or was when the
+/// process was killed.
+pub fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
+    let mut reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?);
+    let mut lines = Vec::new();
+    loop {
+        let mut line = String::new();
+        match reader.read_line(&mut line) {
+            Ok(0) => return Ok(lines),
+            Ok(_) if line.ends_with('\n') => {
+                line.pop();
+                lines.push(line);
+            }
+            Ok(_) => return Ok(lines),
+            Err(error) if error.kind() == ErrorKind::InvalidData => {
+                return Err(RunsError::damaged(path, format!("line {} is no text", lines.len() + 1)));
+            }
+            Err(source) => return Err(RunsError::io("read", path)(source)),
+        }
+    }
+}
+
+/// Lines of a seed's ledger.
+///
+/// # Errors
+/// If the file cannot be read or a line has not the form of one.
+pub fn ledger(dir: &SeedDir) -> Result<Vec<LedgerLine>, RunsError> {
+    let path = dir.ledger();
+    let parse = |(number, line): (usize, &String)| {
+        LedgerLine::parse(line)
+            .ok_or_else(|| RunsError::damaged(&path, format!("line {} is no line of a ledger", number + 1)))
+    };
+    lines(&path)?.iter().enumerate().map(parse).collect()
+}
+
+/// A check with its films.
+///
+/// # Errors
+/// If there is no such check, or its tape is damaged.
+pub fn tape(dir: &SeedDir, number: u32) -> Result<CheckRecord, RunsError> {
+    let path = dir.tape(number);
+    let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
+    serde_json::from_slice(&text).map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))
+}
+
+/// The number of the first line of a ledger, from 1, that breaks its chain; how many lines there are
+/// otherwise.
+pub fn check_chain(plan: &Plan, dir: &SeedDir, lines: &[LedgerLine]) -> Result<usize, usize> {
+    let config = plan.config.with_seed(dir.seed()).with_agent(Learner::Mc);
+    let mut chain = Chain::start(&config.to_string());
+    match lines.iter().position(|line| !line.follows(&mut chain)) {
+        Some(index) => Err(index + 1),
+        None => Ok(lines.len()),
+    }
+}
+
+/// Checks the tapes of the first `checks` lines of a seed's ledger.
+pub fn check_tapes(dir: &SeedDir, checks: u32) -> Result<(), RunsError> {
+    for (number, line) in (1..=checks).zip(ledger(dir)?) {
+        let path = dir.tape(number);
+        if FileDigest::of(&path)?.sha256 != line.tape {
+            return Err(RunsError::damaged(&path, "was altered: its digest is not the one in ledger.jsonl"));
+        }
+    }
+    Ok(())
+}

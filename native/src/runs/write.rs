@@ -1,0 +1,384 @@
+//! Writing a seed's files: logs that only grow, and whole files that appear at once.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use mcvl_core::config::Config;
+use mcvl_core::env::{ActionValue, EpisodeEnd};
+use mcvl_core::record::{CheckRecord, Event, Recorder, StepRecord};
+use mcvl_core::run::Run;
+use sha2::{Digest as _, Sha256};
+
+use super::chain::{Chain, LedgerLine, hex, sha256, sha256_of};
+use super::checkpoint::{LogMarks, Mark};
+use super::layout::{SeedDir, TEMPORARY};
+use super::{RunDir, RunsError};
+
+/// Columns of `steps.csv`.
+pub const STEP_COLUMNS: &str = "arm,step,action,reward_raw,performance,reward,predicted,checked,stored,end";
+
+/// Writes a file so that readers see the old content or the new, never a part; it has reached the disk
+/// when this returns.
+///
+/// # Errors
+/// If the file cannot be written; what was there is then untouched.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), RunsError> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(TEMPORARY);
+    let temporary = path.with_file_name(name);
+    let written = File::create(&temporary)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        .and_then(|()| fs::rename(&temporary, path));
+    if written.is_err() {
+        // What is left of it would only take up room on a full disk. That it is gone is not essential.
+        let _ = fs::remove_file(&temporary);
+    }
+    written.map_err(RunsError::io("write", path))?;
+    sync_folder(path.parent().unwrap_or(Path::new(".")))
+}
+
+/// Makes renames and new names in a folder durable.
+fn sync_folder(path: &Path) -> Result<(), RunsError> {
+    // Only Unix opens folders as files; elsewhere the rename itself has to do.
+    if cfg!(unix) {
+        File::open(path).and_then(|folder| folder.sync_all()).map_err(RunsError::io("sync the folder", path))?;
+    }
+    Ok(())
+}
+
+/// The right to write to a run directory; given up when dropped, also by a kill.
+#[derive(Debug)]
+pub struct Lock(#[expect(dead_code, reason = "held for its lock")] File);
+
+impl Lock {
+    /// Takes the lock of a run directory, which must exist.
+    ///
+    /// # Errors
+    /// If another process holds it, or the folder cannot be written to.
+    pub fn take(run: &RunDir) -> Result<Self, RunsError> {
+        let path = run.lock();
+        let file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(RunsError::io("create", &path))?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self(file)),
+            Err(TryLockError::WouldBlock) => Err(RunsError::Request(format!(
+                "another mcvl is training in {}: wait for it, stop it (it saves its state), or choose another \
+                 directory with -o",
+                run.path().display()
+            ))),
+            Err(TryLockError::Error(source)) => Err(RunsError::Io { doing: "lock", path, source }),
+        }
+    }
+}
+
+/// A file that only grows, with the digest of what it holds.
+struct Log {
+    path: PathBuf,
+    file: BufWriter<File>,
+    bytes: u64,
+    digest: Sha256,
+}
+
+impl Log {
+    fn create(path: PathBuf) -> Result<Self, RunsError> {
+        let file = File::create(&path).map_err(RunsError::io("create", &path))?;
+        Ok(Self { path, file: BufWriter::new(file), bytes: 0, digest: Sha256::new() })
+    }
+
+    /// Continues behind the marked part; what a killed process wrote after it is cut off.
+    fn reopen(path: PathBuf, mark: &Mark) -> Result<Self, RunsError> {
+        let digest = check_mark(&path, mark)?;
+        let mut file = OpenOptions::new().write(true).open(&path).map_err(RunsError::io("open", &path))?;
+        file.set_len(mark.bytes)
+            .and_then(|()| file.seek(SeekFrom::End(0)))
+            .map_err(RunsError::io("continue", &path))?;
+        Ok(Self { path, file: BufWriter::new(file), bytes: mark.bytes, digest })
+    }
+
+    fn line(&mut self, line: &str) -> Result<(), RunsError> {
+        for part in [line.as_bytes(), b"\n"] {
+            self.file.write_all(part).map_err(RunsError::io("write", &self.path))?;
+            self.bytes += part.len() as u64;
+            self.digest.update(part);
+        }
+        Ok(())
+    }
+
+    /// Brings everything to the disk and says how far the file reaches.
+    fn sync(&mut self) -> Result<Mark, RunsError> {
+        self.file.flush().and_then(|()| self.file.get_ref().sync_data()).map_err(RunsError::io("write", &self.path))?;
+        Ok(Mark { bytes: self.bytes, sha256: hex(&self.digest.clone().finalize()) })
+    }
+}
+
+/// Compares the beginning of a log with its mark; gives the digest to go on with.
+fn check_mark(path: &Path, mark: &Mark) -> Result<Sha256, RunsError> {
+    let file = File::open(path).map_err(RunsError::io("open", path))?;
+    let length = file.metadata().map_err(RunsError::io("read", path))?.len();
+    if length < mark.bytes {
+        let why = format!(
+            "is cut off: {length} bytes, the checkpoint counts {}; restore the file, or start over with --overwrite",
+            mark.bytes
+        );
+        return Err(RunsError::damaged(path, why));
+    }
+    let (_, digest) = sha256_of(file.take(mark.bytes)).map_err(RunsError::io("read", path))?;
+    if hex(&digest.clone().finalize()) != mark.sha256 {
+        let why = "was altered since the checkpoint was written; restore the file, or start over with --overwrite";
+        return Err(RunsError::damaged(path, why));
+    }
+    Ok(digest)
+}
+
+/// Checks every log of a seed against its marks, without changing anything.
+///
+/// # Errors
+/// If one is cut off, altered or cannot be read.
+pub fn check_logs(dir: &SeedDir, marks: &LogMarks) -> Result<(), RunsError> {
+    check_mark(&dir.metrics(), &marks.metrics)?;
+    check_mark(&dir.steps(), &marks.steps)?;
+    check_mark(&dir.ledger(), &marks.ledger)?;
+    Ok(())
+}
+
+/// The row of a step in `steps.csv`. Numbers are printed with the fewest digits that read back exactly.
+pub fn step_row(step: &StepRecord) -> String {
+    let ActionValue::Discrete(action) = step.action;
+    let end = match step.end {
+        None => "",
+        Some(EpisodeEnd::Terminated) => "terminated",
+        Some(EpisodeEnd::Truncated) => "truncated",
+    };
+    format!(
+        "{},{},{action},{},{},{},{},{},{},{end}",
+        step.arm.name(),
+        step.step,
+        step.reward_raw,
+        step.performance,
+        step.reward,
+        step.predicted,
+        step.checked,
+        step.stored,
+    )
+}
+
+/// Writes the events of one seed to its files.
+pub struct SeedWriter {
+    dir: SeedDir,
+    metrics: Log,
+    steps: Log,
+    ledger: Log,
+    chain: Chain,
+    checks: u32,
+    failure: Option<RunsError>,
+}
+
+impl SeedWriter {
+    /// Empty files for a new seed; `config` is the text to which its ledger is chained.
+    ///
+    /// # Errors
+    /// If they cannot be made.
+    pub fn create(dir: &SeedDir, config: &Config) -> Result<Self, RunsError> {
+        for folder in [dir.tapes(), dir.checkpoints()] {
+            fs::create_dir_all(&folder).map_err(RunsError::io("create the folder", &folder))?;
+        }
+        let mut steps = Log::create(dir.steps())?;
+        steps.line(STEP_COLUMNS)?;
+        Ok(Self {
+            metrics: Log::create(dir.metrics())?,
+            steps,
+            ledger: Log::create(dir.ledger())?,
+            chain: Chain::start(&config.to_string()),
+            checks: 0,
+            failure: None,
+            dir: dir.clone(),
+        })
+    }
+
+    /// Continues where a checkpoint stood.
+    ///
+    /// # Errors
+    /// As [`check_logs`].
+    pub fn reopen(dir: &SeedDir, marks: &LogMarks) -> Result<Self, RunsError> {
+        Ok(Self {
+            metrics: Log::reopen(dir.metrics(), &marks.metrics)?,
+            steps: Log::reopen(dir.steps(), &marks.steps)?,
+            ledger: Log::reopen(dir.ledger(), &marks.ledger)?,
+            chain: Chain::from_value(&marks.chain),
+            checks: marks.checks,
+            failure: None,
+            dir: dir.clone(),
+        })
+    }
+
+    /// Brings everything to the disk; the marks of where it ends.
+    ///
+    /// # Errors
+    /// The first failure since the last call: recorders have nobody to tell.
+    pub fn sync(&mut self) -> Result<LogMarks, RunsError> {
+        self.healthy()?;
+        Ok(LogMarks {
+            metrics: self.metrics.sync()?,
+            steps: self.steps.sync()?,
+            ledger: self.ledger.sync()?,
+            chain: self.chain.value().to_owned(),
+            checks: self.checks,
+        })
+    }
+
+    /// The first failure while recording, if there was one.
+    ///
+    /// # Errors
+    /// That failure.
+    pub fn healthy(&mut self) -> Result<(), RunsError> {
+        self.failure.take().map_or(Ok(()), Err)
+    }
+
+    fn write(&mut self, event: &Event) -> Result<(), RunsError> {
+        match event {
+            Event::Step(step) => self.steps.line(&step_row(step)),
+            Event::Check(check) => self.check(check),
+            _ => self.metrics.line(&serde_json::to_string(event).expect("an event is plain data")),
+        }
+    }
+
+    fn check(&mut self, check: &CheckRecord) -> Result<(), RunsError> {
+        // The tape comes first: a line of the ledger never names a tape that is not there.
+        let tape = serde_json::to_vec(check).expect("a check is plain data");
+        write_atomic(&self.dir.tape(check.number), &tape)?;
+        self.checks = check.number;
+        self.ledger.line(&LedgerLine::seal(check, &sha256(&tape), &mut self.chain).text())
+    }
+}
+
+impl Recorder for SeedWriter {
+    fn record(&mut self, event: &Event) {
+        if self.failure.is_none() {
+            self.failure = self.write(event).err();
+        }
+    }
+}
+
+/// Saves the weights of a run in the format that other programs read.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_weights(path: &Path, run: &Run) -> Result<(), RunsError> {
+    let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = run
+        .tensors()
+        .into_iter()
+        .map(|(name, shape, values)| (name, shape, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
+        .collect();
+    let views = tensors.iter().map(|(name, shape, bytes)| {
+        let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, shape.clone(), bytes);
+        (name, view.expect("a tensor has as many values as its shape says"))
+    });
+    // One entry only: the crate's map has no stable order, and the file is promised byte for byte.
+    let about = [("config".to_owned(), run.config().to_string())].into();
+    let bytes = safetensors::serialize(views, Some(about)).expect("names of tensors are distinct");
+    write_atomic(path, &bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::chain::tests::check;
+    use super::*;
+    use mcvl_core::config::Preset;
+    use mcvl_core::record::{Arm, EndRecord};
+
+    fn step(number: u32, predicted: f32) -> StepRecord {
+        StepRecord {
+            arm: Arm::Safe,
+            step: number,
+            action: ActionValue::Discrete(1),
+            reward_raw: -0.0,
+            performance: 5.0,
+            reward: 1e-30,
+            predicted,
+            checked: true,
+            stored: false,
+            end: Some(EpisodeEnd::Truncated),
+        }
+    }
+
+    /// An empty folder of this test.
+    fn folder(name: &str) -> SeedDir {
+        let path = std::env::temp_dir().join(format!("mcvl-write-{name}-{}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        RunDir::new(path).seed(0)
+    }
+
+    #[test]
+    fn rows_read_back_to_the_last_bit() {
+        for predicted in [0.1f32, 1.0 / 3.0, f32::MIN_POSITIVE, -1.17e-38, 16_777_217.0, f32::MAX] {
+            let row = step_row(&step(7, predicted));
+            let cells: Vec<&str> = row.split(',').collect();
+            assert_eq!(cells.len(), STEP_COLUMNS.split(',').count());
+            assert_eq!(cells[6].parse::<f32>().unwrap().to_bits(), predicted.to_bits());
+            assert_eq!(cells[3].parse::<f32>().unwrap().to_bits(), (-0.0f32).to_bits());
+            assert_eq!((cells[0], cells[1], cells[7], cells[9]), ("safe", "7", "true", "truncated"));
+        }
+    }
+
+    #[test]
+    fn a_writer_that_is_cut_and_reopened_leaves_the_same_bytes() {
+        let config = Config::new("box-moving", Preset::Paper).unwrap();
+        let (straight, cut) = (folder("straight"), folder("cut"));
+        let end = EndRecord { arm: Arm::Safe, steps: 4, updates: 0, digest: "00".to_owned() };
+        let events: Vec<Event> = (1..5)
+            .flat_map(|n| [Event::Step(step(n, 0.1)), Event::Check(Box::new(check(n)))])
+            .chain([Event::End(end)])
+            .collect();
+        let mut writer = SeedWriter::create(&straight, &config).unwrap();
+        events.iter().for_each(|event| writer.record(event));
+        let marks = writer.sync().unwrap();
+
+        let mut writer = SeedWriter::create(&cut, &config).unwrap();
+        events[..3].iter().for_each(|event| writer.record(event));
+        let early = writer.sync().unwrap();
+        // Work after the checkpoint, then a kill: some of it reached the disk.
+        events[3..6].iter().for_each(|event| writer.record(event));
+        writer.sync().unwrap();
+        drop(writer);
+        let mut writer = SeedWriter::reopen(&cut, &early).unwrap();
+        events[3..].iter().for_each(|event| writer.record(event));
+        assert_eq!(writer.sync().unwrap(), marks);
+        for file in [SeedDir::metrics, SeedDir::steps, SeedDir::ledger] {
+            assert_eq!(fs::read(file(&cut)).unwrap(), fs::read(file(&straight)).unwrap());
+        }
+
+        // Shorter or altered logs are refused and stay as they are.
+        let length = fs::metadata(cut.ledger()).unwrap().len();
+        OpenOptions::new().write(true).open(cut.ledger()).unwrap().set_len(length - 1).unwrap();
+        let error = SeedWriter::reopen(&cut, &marks).err().unwrap().to_string();
+        assert!(error.contains("ledger.jsonl: is cut off"), "{error}");
+        let mut bytes = fs::read(cut.metrics()).unwrap();
+        bytes[5] ^= 1;
+        fs::write(cut.metrics(), &bytes).unwrap();
+        let error = check_logs(&cut, &marks).unwrap_err().to_string();
+        assert!(error.contains("metrics.jsonl: was altered"), "{error}");
+        assert_eq!(fs::read(cut.metrics()).unwrap(), bytes);
+        for dir in [straight, cut] {
+            fs::remove_dir_all(dir.path().parent().unwrap()).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_write_that_fails_leaves_what_was_there() {
+        let dir = folder("atomic");
+        fs::create_dir_all(dir.path()).unwrap();
+        let path = dir.path().join("file");
+        write_atomic(&path, b"old").unwrap();
+        // The temporary name is taken by a folder.
+        fs::create_dir(dir.path().join("file.tmp")).unwrap();
+        let error = write_atomic(&path, b"new").unwrap_err();
+        assert!(error.to_string().starts_with("cannot write"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        fs::remove_dir_all(dir.path().parent().unwrap()).unwrap();
+    }
+}
