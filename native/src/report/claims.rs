@@ -262,7 +262,10 @@ pub fn seed_list(seeds: &[u64]) -> String {
 
 /// A share in per cent, or a dash where it has no value.
 pub fn percent(share: Option<f64>) -> String {
-    share.map_or("–".into(), |share| format!("{:.0} %", 100.0 * share))
+    share.map_or("–".into(), |share| {
+        let decimals = usize::from(share < 0.1);
+        format!("{:.decimals$} %", 100.0 * share)
+    })
 }
 
 fn arm_summary(seeds: &[SeedRun], arm: Arm) -> Option<ArmSummary> {

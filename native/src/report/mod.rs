@@ -5,7 +5,12 @@
 
 pub mod claims;
 pub mod expression;
+pub mod film;
+pub mod plot;
 pub mod statistics;
+mod svg;
 
+#[cfg(test)]
+mod preview;
 #[cfg(test)]
 mod samples;

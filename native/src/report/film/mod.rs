@@ -1,0 +1,193 @@
+//! One check as a story: the offered transition, both futures as film strips, the ratings, the verdict,
+//! and, last, the truth that the check did not see.
+
+mod picture;
+mod terminal;
+
+use mcvl_core::env::EnvSpec;
+use mcvl_core::record::{CheckRecord, Film, StartState, Verdict};
+
+pub use picture::svg;
+pub(super) use picture::{frame, ratings};
+pub use terminal::explain;
+
+/// Longest cycle that is looked for.
+const LONGEST_CYCLE: usize = 8;
+/// Frames of a film without a cycle that are shown before it is cut.
+const LONGEST_START: usize = 12;
+
+/// A part of a film strip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Part {
+    /// The frame after this many steps.
+    Frame(usize),
+    /// Steps left out.
+    Gap {
+        /// Frames of the cycle that goes on in the gap, or `None` where there is none.
+        cycle: Option<usize>,
+        /// Steps left out.
+        steps: usize,
+        /// Sum of the rewards predicted for them, scaled.
+        predicted: f32,
+    },
+}
+
+/// What a strip shows of a film: all of it, or one round of the cycle in which it ends, or its start.
+pub(super) fn parts(film: &Film) -> Vec<Part> {
+    let steps = film.actions.len();
+    let (shown, cycle) = match cycle(film) {
+        Some((start, period)) => (start + period - 1, Some(period)),
+        None => (LONGEST_START, None),
+    };
+    // A gap of one or two steps would save no room.
+    if shown + 2 >= steps {
+        return (0..=steps).map(Part::Frame).collect();
+    }
+    let predicted = film.predicted.iter().skip(shown).sum();
+    let gap = Part::Gap { cycle, steps: steps - shown, predicted };
+    (0..=shown).map(Part::Frame).chain([gap]).collect()
+}
+
+/// The cycle in which a film ends, as (first step, length): the one that leaves least to be shown.
+fn cycle(film: &Film) -> Option<(usize, usize)> {
+    let steps = film.actions.len();
+    let same = |a: usize, b: usize| film.frames[a] == film.frames[b] && film.actions[a - 1] == film.actions[b - 1];
+    let start = |period: usize| {
+        let broken = (1..=steps.saturating_sub(period)).rev().find(|step| !same(*step, step + period));
+        broken.map_or(1, |step| step + 1)
+    };
+    (1..=LONGEST_CYCLE)
+        .map(|period| (start(period), period))
+        // Twice is chance, three times a cycle.
+        .filter(|(start, period)| start + 3 * period <= steps + 1)
+        .min_by_key(|(start, period)| start + period)
+}
+
+/// A gap in words.
+pub(super) fn gap_words(cycle: Option<usize>, steps: usize, predicted: f32) -> String {
+    let how = match cycle {
+        Some(1) => format!("the last step again for {steps} more"),
+        Some(period) => format!("the last {period} steps again and again for {steps} more"),
+        None => format!("{steps} more steps"),
+    };
+    format!("{how}, expected {predicted:+.2} in all")
+}
+
+/// Where a film starts, in words.
+pub(super) fn start_words(start: StartState) -> &'static str {
+    match start {
+        StartState::Reset => "from a new episode",
+        StartState::Current => "from the state after the transition",
+    }
+}
+
+/// The action that leads to a frame, and the reward predicted for it; empty for the first frame.
+pub(super) fn caption(film: &Film, step: usize, names: &EnvSpec) -> (String, String) {
+    if step == 0 {
+        return ("start".into(), String::new());
+    }
+    let predicted = film.predicted.get(step - 1).map_or(String::new(), |reward| format!("{reward:+.2}"));
+    (format!("{step} {}", names.actions.name(&film.actions[step - 1])), predicted)
+}
+
+/// Expected and received, in words.
+pub(super) fn surprise_words(check: &CheckRecord) -> String {
+    let off = (check.reward - check.predicted).abs();
+    format!(
+        "Expected {:+.2}, received {:+.2} (raw {:+}): off by {off:.2}, checked from {}.",
+        check.predicted, check.reward, check.reward_raw, check.threshold
+    )
+}
+
+/// The verdict in one sentence.
+pub(super) fn verdict_words(check: &CheckRecord) -> String {
+    let difference = check.margin.abs();
+    match check.verdict {
+        Verdict::Refuse => {
+            format!(
+                "REFUSED: rated by what it wants today, the future that learns from it is worse by {difference:.3}."
+            )
+        }
+        Verdict::Accept if check.tie => "ACCEPTED: both futures are rated exactly equal, and a tie accepts.".into(),
+        Verdict::Accept if check.margin < 0.0 => "ACCEPTED: the futures differ by less than the tolerance.".into(),
+        Verdict::Accept => {
+            format!("ACCEPTED: rated by what it wants today, learning from it is better by {difference:.3}.")
+        }
+    }
+}
+
+/// The truth in one sentence: what the transition was, and whether the decision was right.
+pub(super) fn truth_words(check: &CheckRecord) -> String {
+    let worth = format!("it paid {:+} and was worth {:+}", check.reward_raw, check.performance);
+    match (check.hack, check.verdict) {
+        (true, Verdict::Refuse) => format!("a hack ({worth}). Refusing was right."),
+        (true, Verdict::Accept) => format!("a hack ({worth}). Accepting was WRONG: a hack was learned."),
+        (false, Verdict::Accept) => format!("honest ({worth}). Accepting was right."),
+        (false, Verdict::Refuse) => format!("honest ({worth}). Refusing was WRONG: it was no hack."),
+    }
+}
+
+/// Rollouts in words, equal ones counted: `20 x -1.392, 1 x -1.205`.
+pub(super) fn rollout_words(rollouts: &[f64]) -> String {
+    let mut groups: Vec<(String, usize)> = Vec::new();
+    for utility in rollouts {
+        let text = format!("{utility:+.3}");
+        match groups.last_mut() {
+            Some((last, count)) if *last == text => *count += 1,
+            _ => groups.push((text, 1)),
+        }
+    }
+    groups.iter().map(|(text, count)| format!("{count} x {text}")).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::samples;
+
+    #[test]
+    fn a_cycle_is_shown_once() {
+        // d d u d u d ...: after the first step, pressing 4 and 3 in turn.
+        let film = &samples::check(1, true, Verdict::Refuse).modified.films[0];
+        let parts = parts(film);
+        assert!(matches!(parts.last(), Some(Part::Gap { cycle: Some(2), .. })), "{parts:?}");
+        let shown = parts.len() - 1;
+        let Some(Part::Gap { steps, predicted, .. }) = parts.last() else { unreachable!() };
+        assert_eq!(shown - 1 + steps, 30, "every step is shown or counted");
+        assert!(shown <= 6 && *predicted < 0.0, "{parts:?}");
+    }
+
+    #[test]
+    fn short_and_irregular_films_are_shown_as_they_are() {
+        let mut film = samples::check(1, true, Verdict::Refuse).modified.films[0].clone();
+        film.frames.truncate(4);
+        film.actions.truncate(3);
+        film.predicted.truncate(3);
+        assert_eq!(parts(&film), [0, 1, 2, 3].map(Part::Frame));
+        film.frames.truncate(1);
+        film.actions.clear();
+        assert_eq!(parts(&film), [Part::Frame(0)]);
+    }
+
+    #[test]
+    fn long_films_without_a_cycle_are_cut() {
+        let mut film = samples::check(1, true, Verdict::Refuse).modified.films[0].clone();
+        for (index, frame) in film.frames.iter_mut().enumerate() {
+            frame.seen = index.to_string();
+        }
+        let gap = parts(&film).last().copied();
+        assert!(matches!(gap, Some(Part::Gap { cycle: None, steps: 18, .. })), "{gap:?}");
+    }
+
+    #[test]
+    fn the_truth_names_wrong_decisions() {
+        let words = |hack, verdict| truth_words(&samples::check(1, hack, verdict));
+        assert!(words(true, Verdict::Accept).contains("WRONG") && words(false, Verdict::Refuse).contains("WRONG"));
+        assert!(!words(true, Verdict::Refuse).contains("WRONG") && !words(false, Verdict::Accept).contains("WRONG"));
+    }
+
+    #[test]
+    fn equal_rollouts_are_counted() {
+        assert_eq!(rollout_words(&[1.0, 1.0, -0.5]), "2 x +1.000, 1 x -0.500");
+    }
+}
