@@ -6,6 +6,7 @@
 pub mod claims;
 pub mod expression;
 pub mod film;
+pub mod html;
 pub mod plot;
 pub mod statistics;
 mod svg;

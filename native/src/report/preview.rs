@@ -22,5 +22,11 @@ fn preview() {
     let film = super::film::svg(&check, &spec);
     write("film.png", &super::plot::raster(&film, 1.5).expect("a picture"));
     write("film.txt", super::film::explain(&check, &spec, 80, false).as_bytes());
+    let films = |seed: &crate::runs::SeedRun, number: u32| {
+        let check = seed.checks.iter().find(|check| check.number == number)?;
+        Some(samples::check(number, check.hack, check.verdict))
+    };
+    write("report.html", super::html::html(std::slice::from_ref(&ten), &films).as_bytes());
+    write("several.html", super::html::html(&[few, ten.clone()], &films).as_bytes());
     write("summary.txt", super::claims::Summary::new(&ten).text().as_bytes());
 }

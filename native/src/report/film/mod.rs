@@ -4,7 +4,7 @@
 mod picture;
 mod terminal;
 
-use mcvl_core::env::EnvSpec;
+use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, StartState, Verdict};
 
 pub use picture::svg;
@@ -138,6 +138,17 @@ pub(super) fn rollout_words(rollouts: &[f64]) -> String {
         }
     }
     groups.iter().map(|(text, count)| format!("{count} x {text}")).collect::<Vec<_>>().join(", ")
+}
+
+/// The characters that occur, with their meaning.
+pub(super) fn legend(check: &CheckRecord, names: &EnvSpec) -> String {
+    let futures = [&check.modified, &check.unmodified];
+    let films = futures.into_iter().flat_map(|future| &future.films);
+    let frames: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
+    let occurs = |cell: char| frames.iter().any(|frame| frame.seen.contains(cell));
+    let entries = names.legend.iter().filter(|(cell, _)| *cell != ' ' && occurs(*cell));
+    let told: Vec<String> = entries.map(|(cell, meaning)| format!("{cell} {meaning}")).collect();
+    format!("{}. Under a frame: the reward it expects for that step.", told.join("; "))
 }
 
 #[cfg(test)]

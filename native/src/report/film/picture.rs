@@ -3,7 +3,7 @@
 use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord};
 
-use super::{Part, caption, gap_words, parts, start_words, surprise_words, truth_words, verdict_words};
+use super::{Part, caption, gap_words, legend, parts, start_words, surprise_words, truth_words, verdict_words};
 use crate::report::plot::axis::{Scale, padded_range};
 use crate::report::svg::{Anchor, Svg, text_width};
 
@@ -28,6 +28,8 @@ pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
     page.y += RATINGS + 26.0;
     page.line("f-text", 14.0, &verdict_words(check));
     page.line(if check.wrong() { "f-bad" } else { "f-soft" }, TEXT, &format!("In truth {}", truth_words(check)));
+    page.y += 8.0;
+    page.line("f-soft", SMALL, &legend(check, names));
     page.svg.finish((WIDTH, page.y), &title, &verdict_words(check), false)
 }
 
@@ -116,6 +118,7 @@ impl Page {
         if let Some(Part::Gap { cycle, steps, predicted }) = parts(film).last() {
             self.line("f-soft", SMALL, &format!("… {}", gap_words(*cycle, *steps, *predicted)));
         }
+        self.y += 8.0;
     }
 }
 

@@ -5,7 +5,9 @@ use std::fmt::Write as _;
 use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord, Verdict};
 
-use super::{Part, caption, gap_words, parts, rollout_words, start_words, surprise_words, truth_words, verdict_words};
+use super::{
+    Part, caption, gap_words, legend, parts, rollout_words, start_words, surprise_words, truth_words, verdict_words,
+};
 use crate::report::claims::wrapped;
 
 /// Below this width nothing sensible can be drawn.
@@ -199,19 +201,8 @@ fn bars(check: &CheckRecord, width: usize) -> String {
     for (name, value) in [("with it", with), ("without it", without)] {
         let _ = writeln!(out, "  {name:<12}{value:>+8.3}  {}", bar(value));
     }
-    let _ = writeln!(out, "  {:<12}{:>+8.3}  (their difference)", "margin", check.margin);
+    let _ = writeln!(out, "  {:<12}{:>+8.3}  (difference)", "margin", check.margin);
     out
-}
-
-/// The characters that occur, with their meaning.
-fn legend(check: &CheckRecord, names: &EnvSpec) -> String {
-    let futures = [&check.modified, &check.unmodified];
-    let films = futures.into_iter().flat_map(|future| &future.films);
-    let frames: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
-    let occurs = |cell: char| frames.iter().any(|frame| frame.seen.contains(cell));
-    let entries = names.legend.iter().filter(|(cell, _)| *cell != ' ' && occurs(*cell));
-    let told: Vec<String> = entries.map(|(cell, meaning)| format!("{cell} {meaning}")).collect();
-    format!("{}. Under a frame: the reward it expects for that step.", told.join("; "))
 }
 
 #[cfg(test)]

@@ -1,0 +1,281 @@
+//! The report page: one HTML file that opens from disk, without script and without any request.
+//!
+//! It tells the outcome first, then the evidence, then what went wrong with the same room, then every
+//! decision, then how to get the same numbers again. Everything that comes from a run is escaped.
+
+mod ledger;
+mod story;
+
+use std::fmt::Write as _;
+
+use mcvl_core::config::{Config, KEYS, Preset};
+use mcvl_core::env::EnvSpec;
+use mcvl_core::record::{Arm, CheckRecord};
+use mcvl_core::run::Run;
+
+use super::claims::{ArmSummary, Claim, Outcome, SeedEnd, Summary, learner, percent, plural, seed_list};
+use super::plot::{Figure, Layout, curves, sweep};
+use super::statistics::Estimate;
+use super::svg::{self, escape};
+use crate::runs::{RunSet, SeedRun};
+
+/// Reads the film of a check (by its number) of a seed, where a tape holds it.
+pub type Films<'a> = &'a dyn Fn(&SeedRun, u32) -> Option<CheckRecord>;
+
+/// Shapes that stand beside words: an octagon to stop, a tick, a triangle to warn, a ring.
+const SHAPES: &str = "<svg width=\"0\" height=\"0\" style=\"position:absolute\" aria-hidden=\"true\"><defs>\
+<symbol id=\"refused\" viewBox=\"0 0 16 16\"><path d=\"M5 0h6l5 5v6l-5 5H5l-5-5V5zM4 7v2h8V7z\" fill-rule=\"evenodd\"/></symbol>\
+<symbol id=\"accepted\" viewBox=\"0 0 16 16\"><path d=\"M14 2 6 11 2 7 0 9l6 6L16 4z\"/></symbol>\
+<symbol id=\"wrong\" viewBox=\"0 0 16 16\"><path d=\"M8 0 16 15H0zM7 5v5h2V5zM7 11.500v2h2v-2z\" fill-rule=\"evenodd\"/></symbol>\
+<symbol id=\"open\" viewBox=\"0 0 16 16\"><path d=\"M8 1a7 7 0 1 0 0 14A7 7 0 0 0 8 1zm0 2a5 5 0 1 1 0 10A5 5 0 0 1 8 3z\"/></symbol>\
+</defs></svg>\n";
+
+/// Allows what the page brings itself and nothing else: a report cannot call home.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
+
+/// The report on one or more run directories. Films are asked for where one is shown.
+pub fn html(sets: &[RunSet], films: Films<'_>) -> String {
+    let summaries: Vec<Summary> = sets.iter().map(Summary::new).collect();
+    let title = summaries.first().map_or("no runs".into(), |summary| format!("{}: report", summary.title));
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n<title>{}</title>\n\
+         <style>\n:root{{color-scheme:light dark;{}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{}}}}}\n{}\n{}</style>\n\
+         </head>\n<body>\n{SHAPES}",
+        escape(&title),
+        svg::variables(false),
+        svg::variables(true),
+        svg::style(),
+        include_str!("style.css"),
+    );
+    page += &opening(sets, &summaries);
+    page += "<main>\n";
+    for (set, summary) in sets.iter().zip(&summaries) {
+        page += &section(set, summary, films, sets.len() > 1);
+    }
+    page += "</main>\n<footer><p>Written by <code>mcvl report</code>. This file needs no network and no script.</p></footer>\n";
+    page + "</body>\n</html>\n"
+}
+
+/// The top of the page: the outcome in one sentence; for several runs, the comparison.
+fn opening(sets: &[RunSet], summaries: &[Summary]) -> String {
+    match summaries {
+        [] => "<header><h1>There is no run to report on.</h1></header>\n".into(),
+        [only] => format!("<header>{}</header>\n", headline(only, "h1")),
+        several => {
+            let named: Vec<(String, &RunSet)> = sets.iter().map(|set| (name(set), set)).collect();
+            format!(
+                "<header><p class=\"eyebrow\">{}</p><h1>Comparison of {}</h1>{}</header>\n",
+                escape(&several[0].title),
+                plural(several.len() as u64, "run"),
+                figure(&sweep(&named))
+            )
+        }
+    }
+}
+
+fn headline(summary: &Summary, level: &str) -> String {
+    let unfinished = match summary.unfinished.as_slice() {
+        [] => String::new(),
+        seeds => format!(
+            "<p class=\"bad\"><strong>Unfinished:</strong> seeds {}; their open legs are not counted.</p>",
+            seed_list(seeds)
+        ),
+    };
+    format!(
+        "<p class=\"eyebrow\">{}, {} world, {}</p><{level}>{}</{level}>{unfinished}",
+        escape(&summary.title),
+        escape(&summary.variant),
+        plural(summary.seeds.len() as u64, "seed"),
+        escape(&summary.headline())
+    )
+}
+
+/// Everything about one run directory.
+fn section(set: &RunSet, summary: &Summary, films: Films<'_>, several: bool) -> String {
+    let experiment = set.config.experiment();
+    let facts = Run::new(&set.config).spec().clone();
+    let mut out = String::from("<section class=\"set\">\n");
+    if several {
+        let _ = write!(out, "<p class=\"eyebrow\"><code>{}</code></p>{}", escape(&name(set)), headline(summary, "h2"));
+    }
+    let _ = writeln!(
+        out,
+        "<p>Task: {}. The hack: {}.</p>\n{}",
+        escape(experiment.task),
+        escape(experiment.hack),
+        figure(&curves(set))
+    );
+    out += &claims(summary);
+    out += &results(summary);
+    out += &story::example(set, &facts, films);
+    out += &story::failures(set, summary, &facts, films);
+    out += &ledger::ledger(set, &facts);
+    out += &reproduce(set);
+    out + "</section>\n"
+}
+
+/// A figure in both layouts; the style sheet shows the one that fits.
+fn figure(figure: &Figure) -> String {
+    format!(
+        "<figure class=\"figure\"><div class=\"wide\">{}</div><div class=\"narrow\">{}</div></figure>\n",
+        figure.inline(Layout::Row),
+        figure.inline(Layout::Column)
+    )
+}
+
+/// A word with its shape; class `good`, `bad` or `plain` gives the colour.
+fn tag(class: &str, shape: &str, words: &str) -> String {
+    format!("<span class=\"tag {class}\"><svg aria-hidden=\"true\"><use href=\"#{shape}\"/></svg>{words}</span>")
+}
+
+fn claims(summary: &Summary) -> String {
+    let row = |claim: &Claim| {
+        let state = match claim.outcome {
+            Outcome::Holds => tag("good", "accepted", "holds"),
+            Outcome::DoesNotHold => tag("bad", "wrong", "does not hold"),
+            Outcome::NotTested => tag("plain", "open", "not tested"),
+        };
+        format!("<tr><td>{state}</td><td>{}<small>{}</small></td></tr>\n", escape(&claim.text), claim.numbers())
+    };
+    let rows: String = summary.claims.iter().map(row).collect();
+    format!(
+        "<h2>What was claimed, and what came out</h2>\n<table class=\"results\"><thead><tr><th scope=\"col\">outcome</th>\
+         <th scope=\"col\">claim</th></tr></thead><tbody>\n{rows}</tbody></table>\n"
+    )
+}
+
+fn results(summary: &Summary) -> String {
+    let estimate = |value: &Estimate| {
+        format!(
+            "<td class=\"n\">{:.1}<small>{:.1} to {:.1}</small></td><td class=\"n\">{:.1}</td>",
+            value.mean, value.low, value.high, value.iqm
+        )
+    };
+    let row = |leg: &ArmSummary| {
+        let hacked = match leg.arm {
+            Arm::Safe => "–".into(),
+            _ => format!("{} of {}", leg.hacked(), leg.seeds.len()),
+        };
+        let (observed, performance) = (estimate(&leg.observed_return), estimate(&leg.performance));
+        let name = learner(leg.arm).trim_start_matches("The ");
+        format!("<tr><th scope=\"row\">{name}</th>{observed}{performance}<td class=\"n\">{hacked}</td></tr>\n")
+    };
+    let rows: String = summary.arms.iter().map(row).collect();
+    format!(
+        "<h2>Where each learner ends</h2>\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Results\">\
+         <table class=\"results\"><caption>Mean of the last 5 evaluations over seeds, raw reward per episode; below it the \
+         95 % bootstrap interval. IQM: interquartile mean.</caption><thead><tr><th scope=\"col\">learner</th>\
+         <th class=\"n\" scope=\"col\">observed return</th><th class=\"n\" scope=\"col\">IQM</th>\
+         <th class=\"n\" scope=\"col\">performance</th><th class=\"n\" scope=\"col\">IQM</th>\
+         <th class=\"n\" scope=\"col\">hacked</th></tr></thead><tbody>\n{rows}</tbody></table></div>\n{}{}",
+        seeds(summary),
+        decisions(summary)
+    )
+}
+
+/// Every seed by itself.
+fn seeds(summary: &Summary) -> String {
+    let legs: Vec<&ArmSummary> = summary.arms.iter().filter(|leg| leg.arm != Arm::Safe).collect();
+    let heads: String = legs.iter().map(|leg| format!("<th scope=\"col\">{}</th>", leg.arm.name())).collect();
+    let cell = |leg: &&ArmSummary, seed: u64| {
+        let told = leg.seeds.iter().find(|end| end.seed == seed).map(|end| {
+            let at = |value: Option<f64>| value.map_or("–".into(), |value| format!("{value:.1}"));
+            let (first, state) = (at(end.first_performance), seed_tag(end));
+            format!("{state}<small>{:.1} / {:.1}, at the switch {first}</small>", end.observed_return, end.performance)
+        });
+        format!("<td>{}</td>", told.unwrap_or_else(|| "unfinished".into()))
+    };
+    let row = |seed: &u64| {
+        let cells: String = legs.iter().map(|leg| cell(leg, *seed)).collect();
+        format!("<tr><th scope=\"row\">{seed}</th>{cells}</tr>\n")
+    };
+    let rows: String = summary.seeds.iter().map(row).collect();
+    format!(
+        "<details><summary>Every seed <span>observed return / performance at the end</span></summary>\
+         <table><thead><tr><th scope=\"col\">seed</th>{heads}</tr></thead><tbody>\n{rows}</tbody></table></details>\n"
+    )
+}
+
+fn seed_tag(end: &SeedEnd) -> String {
+    if end.hacked() {
+        tag("bad", "wrong", "hacked")
+    } else if end.faithful() {
+        tag("good", "accepted", "as intended")
+    } else {
+        tag("plain", "open", "neither")
+    }
+}
+
+fn decisions(summary: &Summary) -> String {
+    let Some(verdicts) = &summary.verdicts else { return String::new() };
+    format!(
+        "<p>The modification-considering learner made {} ({} of its steps), refused {}, and spent {} on forecasts. \
+         Of its refusals {} were hacks (precision); of the hacks it checked it refused {} (recall). \
+         {} rated both futures exactly equal, which accepts.</p>\n",
+        plural(verdicts.checks, "check"),
+        percent(verdicts.rate()),
+        verdicts.refusals,
+        plural(verdicts.cost, "gradient update"),
+        percent(verdicts.precision()),
+        percent(verdicts.recall()),
+        plural(verdicts.ties, "check"),
+    )
+}
+
+fn reproduce(set: &RunSet) -> String {
+    let row = |key: &mcvl_core::config::Key| {
+        format!(
+            "<tr><th scope=\"row\"><code>{}</code></th><td><code>{}</code></td><td>{}</td><td>{}</td></tr>\n",
+            key.name,
+            escape(&key.value(&set.config)),
+            escape(key.help),
+            escape(key.source)
+        )
+    };
+    let rows: String = KEYS.iter().filter(|key| key.name != "seed" && key.name != "agent").map(row).collect();
+    format!(
+        "<h2>The same numbers again</h2>\n<p>The first command trains the same runs; the second says whether the \
+         files of these runs are as they were written.</p>\n<pre>{}\nmcvl verify {}</pre>\n\
+         <p class=\"note\">As one line, for a link or a log: <code>{}</code></p>\n\
+         <details><summary>Every setting <span>with its value and source</span></summary>\
+         <div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Settings\"><table><thead><tr>\
+         <th scope=\"col\">setting</th><th scope=\"col\">value</th><th scope=\"col\">meaning</th>\
+         <th scope=\"col\">source</th></tr></thead><tbody>\n{rows}</tbody></table></div></details>\n",
+        escape(&train_command(set)),
+        escape(&set.path.display().to_string()),
+        escape(&set.config.to_string())
+    )
+}
+
+/// The command that trains the same runs.
+fn train_command(set: &RunSet) -> String {
+    let Config { env, preset, .. } = &set.config;
+    let mut command = format!("mcvl train {env}");
+    if *preset != Preset::Paper {
+        let _ = write!(command, " --preset {}", preset.name());
+    }
+    for (key, value) in set.config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
+        let _ = write!(command, " --set {key}={value}");
+    }
+    let seeds: Vec<u64> = set.seeds.iter().map(|seed| seed.seed).collect();
+    match seeds.as_slice() {
+        [first, .., last] if last - first + 1 == seeds.len() as u64 => command + &format!(" --seeds {first}..={last}"),
+        [only] => command + &format!(" --seed {only}"),
+        several => several.iter().map(|seed| format!("{command} --seed {seed}")).collect::<Vec<_>>().join("\n"),
+    }
+}
+
+/// A short name of a run: its folder's.
+fn name(set: &RunSet) -> String {
+    set.path.file_name().map_or_else(|| set.path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// The name of a check's action.
+fn action(check: &CheckRecord, facts: &EnvSpec) -> String {
+    escape(&facts.actions.name(&check.action))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,188 @@
+//! Checks told in full: one refused as it should be, and what went wrong.
+
+use std::fmt::Write as _;
+
+use mcvl_core::env::{EnvSpec, Frame};
+use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Verdict};
+
+use super::{Films, action, tag};
+use crate::report::claims::{Summary, plural, seed_list};
+use crate::report::film::{self, Part};
+use crate::report::svg::escape;
+use crate::runs::{RunSet, SeedRun};
+
+/// Wrong decisions that are told one by one before the ledger has to do.
+const TOLD: usize = 5;
+
+/// A worked example: the first refused hack of which there is a film, else the first that was refused.
+pub(super) fn example(set: &RunSet, facts: &EnvSpec, films: Films<'_>) -> String {
+    let refused = |check: &&CheckRecord| check.verdict == Verdict::Refuse && check.hack;
+    let Some((seed, check)) = filmed(set, films, refused).or_else(|| first(set, refused)) else {
+        return "<h2>One decision, step by step</h2>\n<p>No hack was refused in these runs.</p>\n".into();
+    };
+    format!(
+        "<h2>One decision, step by step</h2>\n<p>Seed {}, step {}: the learner was offered a surprising reward and asked \
+         what learning from it would make of it.</p>\n{}",
+        seed.seed,
+        check.step,
+        story(&check, facts)
+    )
+}
+
+/// What went wrong: as visible as the success.
+pub(super) fn failures(set: &RunSet, summary: &Summary, facts: &EnvSpec, films: Films<'_>) -> String {
+    let mut out = String::from("<h2>What went wrong</h2>\n");
+    let items = complaints(summary);
+    if items.is_empty() {
+        return out
+            + "<p>Nothing: no seed of the modification-considering learner was hacked, no hack was accepted, \
+                      no honest transition was refused, and every leg is finished.</p>\n";
+    }
+    let _ = writeln!(out, "<ul>{}</ul>", items.iter().map(|item| format!("<li>{item}</li>")).collect::<String>());
+    let wrong: Vec<(&SeedRun, &CheckRecord)> = checks(set).filter(|(_, check)| check.wrong()).take(TOLD).collect();
+    if !wrong.is_empty() {
+        out += "<h3>The first wrong decisions</h3>\n<ul>";
+        for (seed, check) in &wrong {
+            let _ = write!(
+                out,
+                "<li>Seed {}, check {}, {}. In truth {}</li>",
+                seed.seed,
+                check.number,
+                escape(&check.sentence()),
+                escape(&film::truth_words(check))
+            );
+        }
+        out += "</ul>\n";
+    }
+    if let Some((seed, check)) = filmed(set, films, |check| check.wrong()) {
+        let _ = write!(out, "<h3>One of them: seed {}, step {}</h3>\n{}", seed.seed, check.step, story(&check, facts));
+    }
+    out
+}
+
+/// Everything that is not as it should be, in words.
+fn complaints(summary: &Summary) -> Vec<String> {
+    let mut items = Vec::new();
+    let seeds = |test: &dyn Fn(&crate::report::claims::SeedEnd) -> bool| -> Vec<u64> {
+        let ends = summary.arm(Arm::Mc).map_or(&[][..], |leg| &leg.seeds);
+        ends.iter().filter(|end| test(end)).map(|end| end.seed).collect()
+    };
+    let hacked = seeds(&|end| end.hacked());
+    if !hacked.is_empty() {
+        items.push(format!("The modification-considering learner was hacked in seed {}.", seed_list(&hacked)));
+    }
+    let astray = seeds(&|end| !end.hacked() && !end.faithful());
+    if !astray.is_empty() {
+        items.push(format!("It was not hacked but did not keep its level in seed {}.", seed_list(&astray)));
+    }
+    if let Some(verdicts) = &summary.verdicts {
+        if verdicts.hacks_accepted > 0 {
+            items.push(format!(
+                "{} accepted, {} of them because both futures were rated exactly equal.",
+                plural(verdicts.hacks_accepted, "hack"),
+                verdicts.hacks_tied
+            ));
+        }
+        if verdicts.honest_refused > 0 {
+            items.push(format!("{} refused.", plural(verdicts.honest_refused, "honest transition")));
+        }
+    }
+    if !summary.unfinished.is_empty() {
+        items.push(format!("Seed {} is not finished.", seed_list(&summary.unfinished)));
+    }
+    items
+}
+
+fn checks(set: &RunSet) -> impl Iterator<Item = (&SeedRun, &CheckRecord)> {
+    set.seeds.iter().flat_map(|seed| seed.checks.iter().map(move |check| (seed, check)))
+}
+
+fn first(set: &RunSet, wanted: impl Fn(&&CheckRecord) -> bool) -> Option<(&SeedRun, CheckRecord)> {
+    checks(set).find(|(_, check)| wanted(check)).map(|(seed, check)| (seed, check.clone()))
+}
+
+/// The first wanted check of which there is a film.
+fn filmed<'a>(
+    set: &'a RunSet,
+    films: Films<'_>,
+    wanted: impl Fn(&&CheckRecord) -> bool,
+) -> Option<(&'a SeedRun, CheckRecord)> {
+    let wanted = checks(set).filter(|(_, check)| wanted(check));
+    wanted.into_iter().find_map(|(seed, check)| Some((seed, films(seed, check.number)?)))
+}
+
+/// A check in full.
+fn story(check: &CheckRecord, facts: &EnvSpec) -> String {
+    let verdict = match check.verdict {
+        Verdict::Refuse => ("bad", "refused"),
+        Verdict::Accept => ("good", "accepted"),
+    };
+    let truth = match check.wrong() {
+        true => tag("bad", "wrong", "wrong"),
+        false => tag("good", "accepted", "right"),
+    };
+    format!(
+        "<div class=\"story\"><h3>The offered transition</h3><div class=\"offer\"><div class=\"frame\">{}</div>\
+         <div class=\"action\">{}<span aria-hidden=\"true\">→</span></div><div class=\"frame\">{}</div><p>{}</p></div>\n\
+         <div class=\"futures\">{}{}</div>\n<h3>Both futures, rated by what it wants today</h3>\
+         <div class=\"ratings\">{}</div><p class=\"note\">Scaled reward. Every rollout is a dot, their mean (F<sub>m</sub> \
+         with it, F<sub>u</sub> without it) a bar; margin F<sub>m</sub> − F<sub>u</sub> = {:+.3}.</p>\n\
+         <p class=\"stamp {}\">{}</p>\n<p>{truth} The truth, which the check did not see: {}</p>\
+         <p class=\"note\">{}</p></div>\n",
+        picture(&check.before, "before"),
+        action(check, facts),
+        picture(&check.after, "after"),
+        escape(&film::surprise_words(check)),
+        future("If it learns from it", &check.modified, facts),
+        future("If it does not", &check.unmodified, facts),
+        film::ratings(check),
+        check.margin,
+        verdict.0,
+        tag(verdict.0, verdict.1, &escape(&film::verdict_words(check))),
+        escape(&film::truth_words(check)),
+        escape(&film::legend(check, facts)),
+    )
+}
+
+fn future(name: &str, future: &FutureRecord, facts: &EnvSpec) -> String {
+    let mut out = format!("<div><h3>{name}</h3>");
+    for film in &future.films {
+        let _ = write!(
+            out,
+            "<p class=\"note\">{} (rated {:+.3})</p>{}",
+            film::start_words(film.start),
+            film.utility,
+            strip(film, facts)
+        );
+    }
+    if future.films.is_empty() {
+        out += "<p class=\"note\">Its film is not kept in this ledger.</p>";
+    }
+    out + "</div>"
+}
+
+fn strip(film: &Film, facts: &EnvSpec) -> String {
+    let mut cells = String::new();
+    let mut gap = String::new();
+    for part in film::parts(film) {
+        match part {
+            Part::Frame(step) => {
+                let (above, below) = film::caption(film, step, facts);
+                let drawn = picture(&film.frames[step], &above);
+                let (above, below) = (escape(&above), escape(&below));
+                let _ = write!(
+                    cells,
+                    "<li><span>{above}</span><div class=\"frame\">{drawn}</div><span>{below}</span></li>"
+                );
+            }
+            Part::Gap { cycle, steps, predicted } => {
+                gap = format!("<p class=\"note\">… {}</p>", film::gap_words(cycle, steps, predicted));
+            }
+        }
+    }
+    format!("<ul class=\"strip\">{cells}</ul>{gap}")
+}
+
+fn picture(frame: &Frame, description: &str) -> String {
+    film::frame(frame, description)
+}

@@ -1,0 +1,92 @@
+//! The page says what it should, nothing breaks out of it, and it asks nobody for anything.
+
+use mcvl_core::record::Verdict;
+
+use super::*;
+use crate::report::samples::{self, Outcome as Ending};
+
+/// The page of some runs, with a film for every check.
+fn page(sets: &[RunSet]) -> String {
+    html(sets, &|seed, number| {
+        let check = seed.checks.iter().find(|check| check.number == number)?;
+        Some(samples::check(number, check.hack, check.verdict))
+    })
+}
+
+#[test]
+fn the_outcome_comes_first() {
+    let page = page(&[samples::ten()]);
+    let body = page.split("</head>").nth(1).unwrap();
+    let heading = body.split("<h1>").nth(1).and_then(|rest| rest.split("</h1>").next()).unwrap();
+    assert!(heading.contains("hacked in 10 of 10 seeds") && heading.ends_with("in 1 of 10."), "{heading}");
+    assert_eq!(page.matches("<h1>").count(), 1);
+}
+
+#[test]
+fn failures_have_as_much_room_as_the_success() {
+    let wrong = page(&[samples::ten()]);
+    assert!(wrong.contains("was hacked in seed 3") && wrong.contains("1 honest transition refused"));
+    assert_eq!(wrong.matches("class=\"story\"").count(), 2, "one decision that was right, one that was wrong");
+    let fine = page(&[samples::set(&[Ending::Intended])]);
+    assert!(fine.contains("<p>Nothing: no seed"));
+    assert_eq!(fine.matches("class=\"story\"").count(), 1);
+}
+
+#[test]
+fn every_decision_is_a_row() {
+    let set = samples::ten();
+    let page = page(std::slice::from_ref(&set));
+    let count = |class: &str| page.matches(&format!("<tr class=\"{class}\"")).count();
+    let of = |verdict| set.seeds.iter().flat_map(|seed| &seed.checks).filter(|check| check.verdict == verdict).count();
+    assert_eq!(count("refused") + count("refused wrong"), of(Verdict::Refuse));
+    assert_eq!(count("accepted") + count("accepted wrong"), of(Verdict::Accept));
+    assert_eq!((count("refused wrong"), count("accepted wrong")), (1, 1));
+}
+
+#[test]
+fn nothing_is_fetched_and_nothing_runs() {
+    let page = page(&[samples::ten(), samples::set(&[Ending::Missed])]);
+    for forbidden in ["http://", "https://", "<script", "src=", "url(", "@import", "<link"] {
+        assert!(!page.contains(forbidden), "{forbidden}");
+    }
+}
+
+#[test]
+fn names_cannot_break_out() {
+    let mut set = samples::set(&[Ending::Intended]);
+    set.path = "runs/<img onerror=\"x\">".into();
+    let page = page(&[set]);
+    assert!(!page.contains("<img") && page.contains("&lt;img onerror=&quot;x&quot;&gt;"));
+}
+
+#[test]
+fn elements_are_closed() {
+    let page = page(&[samples::ten()]);
+    for name in ["section", "table", "tr", "td", "div", "details", "svg", "ul", "li", "p", "figure", "span", "fieldset"]
+    {
+        let opened = page.matches(&format!("<{name} ")).count() + page.matches(&format!("<{name}>")).count();
+        assert_eq!(opened, page.matches(&format!("</{name}>")).count(), "{name}");
+    }
+}
+
+#[test]
+fn the_commands_name_what_differs() {
+    let mut set = samples::ten();
+    set.config.set("threshold", "0.1").unwrap();
+    assert_eq!(train_command(&set), "mcvl train box-moving --set threshold=0.1 --seeds 0..=9");
+    set.seeds.remove(4);
+    assert!(train_command(&set).ends_with("--seed 9") && train_command(&set).lines().count() == 9);
+    set.seeds.truncate(1);
+    assert_eq!(train_command(&set), "mcvl train box-moving --set threshold=0.1 --seed 0");
+}
+
+#[test]
+fn runs_without_films_checks_or_seeds_are_reported_too() {
+    let mut set = samples::set(&[Ending::Missed]);
+    assert!(html(std::slice::from_ref(&set), &|_, _| None).contains("not kept in this ledger"));
+    set.seeds[0].checks.clear();
+    assert!(page(std::slice::from_ref(&set)).contains("nothing to decide"));
+    set.seeds.clear();
+    assert!(page(&[set]).contains("No seed has finished"));
+    assert!(page(&[]).contains("no run to report on"));
+}
