@@ -1,2 +1,136 @@
-//! Times of the parts that a check is made of.
-fn main() {}
+//! Times of the parts that a check is made of, with the share of the machine's multiply-add rate.
+//!
+//! `cargo bench -p mcvl-core` (or `cargo xtask bench`). The shares count the multiply-adds of the dense
+//! definition; work that one-hot inputs and repeated states save shows as a share above what the
+//! arithmetic alone would reach.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use mcvl_core::agent::Agent;
+use mcvl_core::agent::ddqn::{Ddqn, DdqnConfig};
+use mcvl_core::agent::reward_model::RewardModel;
+use mcvl_core::config::{Config, Learner, Optimizer};
+use mcvl_core::env::{ActionSpec, Discrete, ObservationSpec};
+use mcvl_core::nn::gemm::PROBE_LANES;
+use mcvl_core::nn::isa::{Isa, probe};
+use mcvl_core::nn::optim::AdamConfig;
+use mcvl_core::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
+use mcvl_core::rng::Rng;
+use mcvl_core::run::{Budget, Run, Status};
+use std::hint::black_box;
+use std::time::Instant;
+
+const BATCH: u32 = 32;
+const ACTIONS: ActionSpec = ActionSpec::Discrete(&["up", "down", "left", "right"]);
+
+/// Experience of random boards with `cells` cells of ten codes; `states` different boards.
+fn replay(binary: bool, cells: usize, states: usize) -> ReplayBuffer<Discrete> {
+    let spec = ObservationSpec { width: 10 * cells, binary };
+    let mut rng = Rng::new(1);
+    let boards: Vec<Vec<f32>> = (0..states)
+        .map(|_| {
+            let mut board = vec![0.0; spec.width];
+            (0..cells).for_each(|cell| board[10 * cell + rng.below(10) as usize] = 1.0);
+            board
+        })
+        .collect();
+    let mut replay = ReplayBuffer::new(spec, 1000);
+    for _ in 0..1000 {
+        let mut board = || boards[rng.below(states as u32) as usize].clone();
+        let (observation, next_observation) = (board(), board());
+        let action = Discrete(rng.below(4) as u8);
+        let reward = rng.uniform();
+        replay.push(&Transition { observation, action, reward, next_observation, terminated: false });
+    }
+    replay
+}
+
+fn adam(lr: f32) -> AdamConfig {
+    AdamConfig { kind: Optimizer::Adam, lr, weight_decay: 0.0, clip: 0.0 }
+}
+
+/// Multiply-adds of one dense DDQN update: forward on s and s' with the live network, on s' with the
+/// target, backward without the gradient of the input.
+fn multiply_adds(width: usize, hidden: usize, actions: usize) -> usize {
+    let (first, rest) = (width * hidden, hidden * hidden + hidden * actions);
+    BATCH as usize * (3 * (first + rest) + first + 2 * rest)
+}
+
+/// Multiply-adds per second without fusing, measured.
+fn peak() -> f64 {
+    let mut lanes = [0.5f32; PROBE_LANES];
+    let mut best = f64::MAX;
+    for _ in 0..20 {
+        let start = Instant::now();
+        probe(Isa::active(), 20_000, black_box(&mut lanes));
+        best = best.min(start.elapsed().as_secs_f64());
+    }
+    20_000.0 * PROBE_LANES as f64 / best
+}
+
+fn updates(c: &mut Criterion) {
+    let peak = peak();
+    println!("vector unit {}: {:.1} G multiply-adds/s at most, not fused", Isa::active().name(), peak / 1e9);
+    let mut group = c.benchmark_group("ddqn-update");
+    for (name, binary, cells, states) in [
+        ("100-dense", false, 10, 1000),
+        ("100-onehot", true, 10, 1000),
+        ("100-onehot-22-states", true, 10, 22),
+        ("290-onehot", true, 29, 1000),
+        ("290-onehot-22-states", true, 29, 22),
+    ] {
+        let replay = replay(binary, cells, states);
+        let config = DdqnConfig { hidden: 128, layers: 2, gamma: 0.95, tau: 0.005, adam: adam(1e-4) };
+        let mut agent = Ddqn::new(replay.spec(), &ACTIONS, &config, &mut Rng::new(2));
+        let (mut batch, mut slots, mut rng) = (Minibatch::default(), Vec::new(), Rng::new(3));
+        let none = Forced::new(&[], &replay);
+        let mut update = || {
+            draw_slots(replay.len(), BATCH, &mut rng, &mut slots);
+            batch.gather(&replay, &slots, &none);
+            black_box(agent.update(&batch, &mut Rng::new(0)));
+        };
+        let work = multiply_adds(10 * cells, 128, 4);
+        let rounds = 2000;
+        let start = Instant::now();
+        (0..rounds).for_each(|_| update());
+        let rate = f64::from(rounds) * work as f64 / start.elapsed().as_secs_f64();
+        println!("{name}: {work} multiply-adds by definition, {:.0} % of the peak", 100.0 * rate / peak);
+        group.throughput(Throughput::Elements(work as u64));
+        group.bench_function(name, |b| b.iter(&mut update));
+    }
+    group.finish();
+}
+
+fn reward_model(c: &mut Criterion) {
+    for (name, states) in [("reward-update/100-onehot", 1000), ("reward-update/100-onehot-22-states", 22)] {
+        let replay = replay(true, 10, states);
+        let mut model = RewardModel::new(replay.spec(), &ACTIONS, 128, 2, adam(1e-2), &mut Rng::new(2));
+        let (mut batch, mut slots, mut rng) = (Minibatch::default(), Vec::new(), Rng::new(3));
+        let none = Forced::new(&[], &replay);
+        c.bench_function(name, |b| {
+            b.iter(|| {
+                draw_slots(replay.len(), BATCH, &mut rng, &mut slots);
+                batch.gather(&replay, &slots, &none);
+                black_box(model.update(&batch));
+            })
+        });
+    }
+}
+
+/// Box Moving up to its switch, and 100 checked steps from there.
+fn box_moving(c: &mut Criterion) {
+    let config: Config = "env=box-moving full_steps=10 scheme=all".parse().expect("a valid configuration");
+    let mut safe = Run::new(&config);
+    while safe.poll(Budget(10_000), &mut ()).expect("training converges") == Status::Working {}
+    let mut group = c.benchmark_group("box-moving");
+    group.sample_size(10);
+    group.bench_function("10 checks of 2x500 updates", |b| {
+        b.iter(|| {
+            let mut run = safe.fork(Learner::Mc).expect("the run stands at the switch");
+            while run.poll(Budget(10_000), &mut ()).expect("training converges") != Status::Done {}
+        })
+    });
+    group.finish();
+}
+
+criterion_group!(benches, updates, reward_model, box_moving);
+criterion_main!(benches);

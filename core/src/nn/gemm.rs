@@ -2,6 +2,9 @@
 //! starting from its bias or from zero, without fused multiply-add: tile sizes and vector widths change
 //! the speed and no bit. [`super::isa`] compiles these loops for each vector unit.
 
+/// Lanes of [`super::isa::probe`]: enough independent chains to hide every latency.
+pub const PROBE_LANES: usize = 192;
+
 /// A row-major matrix in a slice.
 #[derive(Clone, Copy)]
 pub struct Matrix<'a> {
@@ -62,10 +65,17 @@ fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out:
     }
 }
 
-/// All rows of one stripe of columns.
+/// All rows of one stripe of columns. Narrow stripes take many rows at once: each sum is a chain, and
+/// only independent chains keep the machine busy.
 #[inline(always)]
 fn stripe<const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
     let mut i = 0;
+    if COLS <= 4 {
+        while i + 8 <= a.rows {
+            tile::<8, COLS>(a, b, out, i, j);
+            i += 8;
+        }
+    }
     while i + 4 <= a.rows {
         tile::<4, COLS>(a, b, out, i, j);
         i += 4;
@@ -96,9 +106,12 @@ pub(super) fn product_body<const WIDE: usize>(a: Matrix<'_>, b: Matrix<'_>, mut 
         stripe::<4>(a, b, &mut c, j);
         j += 4;
     }
-    while j < b.cols {
+    if j + 2 <= b.cols {
+        stripe::<2>(a, b, &mut c, j);
+        j += 2;
+    }
+    if j < b.cols {
         stripe::<1>(a, b, &mut c, j);
-        j += 1;
     }
 }
 
@@ -203,17 +216,40 @@ pub(super) fn add_to_rows_body(rows: &mut [f32], indices: &[u32], add: &[f32]) {
     }
 }
 
-/// `out[c, r] = a[r, c]`.
-pub fn transpose(a: Matrix<'_>, out: &mut [f32]) {
-    const BLOCK: usize = 16;
-    let out = &mut out[..a.rows * a.cols];
-    for r0 in (0..a.rows).step_by(BLOCK) {
-        for c0 in (0..a.cols).step_by(BLOCK) {
-            for c in c0..(c0 + BLOCK).min(a.cols) {
-                for r in r0..(r0 + BLOCK).min(a.rows) {
-                    out[c * a.rows + r] = a.data[r * a.cols + c];
-                }
+/// Independent chains of a multiplication and an addition, for measuring what the machine can do at most
+/// without fusing them: `rounds` passes over the lanes of `x`, two operations per lane and pass.
+#[inline(always)]
+pub(super) fn probe_body(rounds: usize, x: &mut [f32; PROBE_LANES]) {
+    let mut lanes = *x;
+    for _ in 0..rounds {
+        for lane in &mut lanes {
+            *lane = *lane * 0.999 + 0.001;
+        }
+    }
+    *x = lanes;
+}
+
+/// `out[c, r] = a[r, c]`, in blocks of four by four.
+#[inline(always)]
+pub(super) fn transpose_body(a: Matrix<'_>, out: &mut [f32]) {
+    const BLOCK: usize = 4;
+    let (rows, cols) = (a.rows, a.cols);
+    let (whole_rows, whole_cols) = (rows - rows % BLOCK, cols - cols % BLOCK);
+    for c in (0..whole_cols).step_by(BLOCK) {
+        for r in (0..whole_rows).step_by(BLOCK) {
+            let block: [[f32; BLOCK]; BLOCK] = core::array::from_fn(|i| {
+                let at = (r + i) * cols + c;
+                a.data[at..at + BLOCK].try_into().expect("a full block")
+            });
+            for j in 0..BLOCK {
+                let column: [f32; BLOCK] = core::array::from_fn(|i| block[i][j]);
+                out[(c + j) * rows + r..(c + j) * rows + r + BLOCK].copy_from_slice(&column);
             }
+        }
+    }
+    for r in 0..rows {
+        for c in if r < whole_rows { whole_cols..cols } else { 0..cols } {
+            out[c * rows + r] = a.data[r * cols + c];
         }
     }
 }
@@ -301,9 +337,13 @@ mod tests {
 
     #[test]
     fn transposes() {
-        let a: Vec<f32> = (0..6).map(|i| i as f32).collect();
-        let mut t = vec![0.0; 6];
-        transpose(Matrix::new(&a, 2, 3), &mut t);
-        assert_eq!(t, [0.0, 3.0, 1.0, 4.0, 2.0, 5.0]);
+        for (rows, cols) in [(2, 3), (8, 4), (13, 22), (128, 2), (1, 1)] {
+            let a: Vec<f32> = (0..rows * cols).map(|i| i as f32).collect();
+            for isa in Isa::supported() {
+                let mut t = vec![-1.0; rows * cols];
+                isa::transpose(isa, Matrix::new(&a, rows, cols), &mut t);
+                assert!((0..rows * cols).all(|i| t[(i % cols) * rows + i / cols] == a[i]), "{rows} x {cols}");
+            }
+        }
     }
 }

@@ -209,6 +209,17 @@ kernel!(
     baseline: optim::step_body::<Baseline>, avx2: optim::step_body::<Avx2>, avx512: optim::step_body::<Avx512>
 );
 
+kernel!(
+    /// `out = aᵀ`, see [`gemm`].
+    transpose(a: Matrix<'_>, out: &mut [f32]),
+    baseline: gemm::transpose_body, avx2: gemm::transpose_body, avx512: gemm::transpose_body
+);
+kernel!(
+    /// The most multiply-adds that can be had, see [`gemm`].
+    probe(rounds: usize, x: &mut [f32; gemm::PROBE_LANES]),
+    baseline: gemm::probe_body, avx2: gemm::probe_body, avx512: gemm::probe_body
+);
+
 #[cfg(test)]
 mod tests {
     use super::*;

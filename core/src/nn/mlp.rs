@@ -4,12 +4,13 @@
 //! One flat vector. For each layer in order: weights `[inputs, outputs]` row-major (all outputs of
 //! input 0, then of input 1, ...), then biases `[outputs]`.
 
+use alloc::vec;
 use alloc::vec::Vec;
 use ndarray::{ArrayView1, ArrayView2};
 use serde::{Deserialize, Serialize};
 
 use super::buffer::Buffer;
-use super::gemm::{Matrix, Output, transpose};
+use super::gemm::{Matrix, Output};
 use super::isa::{self, Isa};
 use super::optim::Adam;
 use super::rows::Rows;
@@ -40,6 +41,7 @@ pub struct Scratch {
 pub struct Gradient {
     values: Buffer,
     touched: Vec<u32>,
+    is_touched: Vec<bool>,
     row: usize,
 }
 
@@ -54,6 +56,7 @@ impl Gradient {
         for &index in &self.touched {
             let at = index as usize * self.row;
             self.values[at..at + self.row].fill(0.0);
+            self.is_touched[index as usize] = false;
         }
         self.touched.clear();
     }
@@ -202,6 +205,7 @@ impl Mlp {
         if gradient.values.len() != self.params.len() {
             gradient.values = Buffer::zeros(self.params.len());
             gradient.touched.clear();
+            gradient.is_touched = vec![false; self.sizes[0]];
             gradient.row = self.sizes[1];
         }
         let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
@@ -216,7 +220,7 @@ impl Mlp {
                 let h = Matrix::new(&activations[index - 1], count, inputs);
                 isa::product_transposed(isa, h, d, weights);
                 let own = Matrix::new(&self.params[layer.weights..], inputs, outputs);
-                transpose(own, transposed.at_least(inputs * outputs));
+                isa::transpose(isa, own, transposed.at_least(inputs * outputs));
                 let output = Output { data: next_delta.at_least(count * inputs), bias: None, relu: false };
                 isa::product(isa, d, Matrix::new(transposed, outputs, inputs), output);
                 for (x, h) in next_delta[..count * inputs].iter_mut().zip(h.data) {
@@ -226,10 +230,12 @@ impl Mlp {
             } else if rows.is_binary() {
                 for row in 0..count {
                     isa::add_to_rows(isa, weights, rows.ones(row), &d.data[row * outputs..(row + 1) * outputs]);
-                    gradient.touched.extend_from_slice(rows.ones(row));
+                    for &index in rows.ones(row) {
+                        if !core::mem::replace(&mut gradient.is_touched[index as usize], true) {
+                            gradient.touched.push(index);
+                        }
+                    }
                 }
-                gradient.touched.sort_unstable();
-                gradient.touched.dedup();
             } else {
                 let x = Matrix::new(rows.dense(), count, inputs);
                 isa::product_transposed(isa, x, d, weights);
@@ -240,7 +246,7 @@ impl Mlp {
 
 /// Binary rows as numbers.
 fn write_out(rows: &Rows) -> Vec<f32> {
-    let mut values = alloc::vec![0.0; rows.len() * rows.width()];
+    let mut values = vec![0.0; rows.len() * rows.width()];
     for row in 0..rows.len() {
         rows.ones(row).iter().for_each(|&i| values[row * rows.width() + i as usize] = 1.0);
     }
@@ -261,7 +267,6 @@ fn sum_columns(a: Matrix<'_>, out: &mut [f32]) {
 mod tests {
     use super::*;
     use crate::env::ObservationSpec;
-    use alloc::vec;
 
     fn random_rows(spec: ObservationSpec, count: usize, rng: &mut Rng) -> Rows {
         let mut rows = Rows::new(spec);
