@@ -1,7 +1,7 @@
 //! One seed of a run directory, from its beginning or a checkpoint to its end: Safe training, then each
 //! learner from the same switch.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
@@ -15,9 +15,6 @@ use super::{RunsError, SeedDir, read};
 /// Work per poll: short enough that a signal is answered in the blink of an eye, long enough that the
 /// rest costs nothing.
 const BUDGET: Budget = Budget(64);
-
-/// A kill loses at most about this much work.
-const CHECKPOINT_EVERY: Duration = Duration::from_secs(5);
 
 /// One seed: what to do.
 #[derive(Clone, Debug)]
@@ -186,7 +183,7 @@ fn leg(
     let mut saved = Instant::now();
     loop {
         let stop = control.stopped();
-        if stop || saved.elapsed() >= CHECKPOINT_EVERY {
+        if stop || saved.elapsed() >= control.checkpoint_every {
             let logs = recorder.writer.sync()?;
             Checkpoint::write(&job.dir.state(), finished, &logs, run)?;
             saved = Instant::now();

@@ -15,21 +15,23 @@ use super::job::{Ending, ReadyJob, Watcher};
 /// How often the caller is told how things stand.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Says when to stop.
+/// Says when to save and when to stop.
 #[derive(Debug)]
 pub struct Control {
+    /// A kill loses at most about this much work.
+    pub checkpoint_every: Duration,
     /// Set from outside, by a signal.
-    pub stop: &'static AtomicBool,
+    stop: &'static AtomicBool,
     /// Stop at this moment.
-    pub deadline: Option<Instant>,
+    deadline: Option<Instant>,
     /// The machine failed one seed: the others save what they have.
     failed: AtomicBool,
 }
 
 impl Control {
     /// Stops when `stop` is set or `deadline` is over.
-    pub fn new(stop: &'static AtomicBool, deadline: Option<Instant>) -> Self {
-        Self { stop, deadline, failed: AtomicBool::new(false) }
+    pub fn new(checkpoint_every: Duration, stop: &'static AtomicBool, deadline: Option<Instant>) -> Self {
+        Self { checkpoint_every, stop, deadline, failed: AtomicBool::new(false) }
     }
 
     /// Whether to stop now.

@@ -8,7 +8,7 @@ use mcvl_core::config::Learner;
 use mcvl_core::record::{CheckRecord, Event};
 
 use super::chain::{Chain, LedgerLine};
-use super::{FileDigest, Place, Plan, RunSet, RunsError, SeedDir, SeedRun};
+use super::{FileDigest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun};
 
 impl RunSet {
     /// Reads the run that `path` names: a run directory, or the folder of one seed in it. What an
@@ -27,6 +27,11 @@ impl RunSet {
 }
 
 impl SeedRun {
+    /// Where its files lie.
+    pub fn dir(&self) -> SeedDir {
+        RunDir::new(self.path.parent().unwrap_or(Path::new(""))).seed(self.seed)
+    }
+
     /// Reads one seed.
     ///
     /// # Errors

@@ -1,0 +1,86 @@
+//! `mcvl doctor`: what this machine offers, and whether its arithmetic is the promised one.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::path::Path;
+use std::{fs, io, process};
+
+use clap::Args;
+use mcvl::runs::Manifest;
+use mcvl_core::exact;
+use serde_json::json;
+
+use super::Done;
+use super::terminal::Terminal;
+
+/// Arguments of `mcvl doctor`.
+#[derive(Args)]
+pub struct DoctorArgs {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Looks at the machine. Exit code 4 if its arithmetic is not exact.
+pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    let about = Manifest::begin();
+    let different = different_stages();
+    let disk = writable(Path::new("."));
+    let stderr = io::stderr().is_terminal();
+    if arguments.json {
+        let value = json!({
+            "version": about.version,
+            "commit": about.commit,
+            "compiler": about.compiler,
+            "target": about.target,
+            "cpu": about.cpu,
+            "cores": about.cores,
+            "vector": about.vector,
+            "exact": different.is_empty(),
+            "different": different,
+            "stages": exact::COMMITTED.len(),
+            "disk": disk.as_ref().err().map(ToString::to_string),
+            "terminal": { "stdout": io::stdout().is_terminal(), "stderr": stderr, "color": terminal.color },
+        });
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&value)?)?;
+    } else {
+        let stages = exact::COMMITTED.len();
+        let exactness = match &different[..] {
+            [] => terminal.paint(32, format!("all {stages} stages give the committed digests")),
+            list => terminal.paint(31, format!("NOT EXACT in {} of {stages}: {}", list.len(), list.join(", "))),
+        };
+        let disk = match disk {
+            Ok(()) => "the current folder can be written to".to_owned(),
+            Err(error) => {
+                terminal.paint(31, format!("the current folder cannot be written to ({error}): use -o elsewhere"))
+            }
+        };
+        let progress = if stderr { "progress as bars" } else { "no terminal: progress as plain lines" };
+        let rows = [
+            ("mcvl", format!("{} ({})", about.version, about.commit.as_deref().unwrap_or("commit unknown"))),
+            ("built", format!("{} for {}", about.compiler, about.target)),
+            ("processor", format!("{}, {} cores", about.cpu, about.cores)),
+            ("vectors", format!("{} (speed only: every unit gives the same bits)", about.vector)),
+            ("arithmetic", exactness),
+            ("disk", disk),
+            ("terminal", progress.to_owned()),
+        ];
+        for (name, value) in rows {
+            writeln!(terminal.out, "{name:<11} {value}")?;
+        }
+    }
+    Ok(if different.is_empty() { Done::Well } else { Done::Mismatch })
+}
+
+/// Stages of the self-test whose digest is not the committed one.
+fn different_stages() -> Vec<&'static str> {
+    let digests = exact::digests();
+    let expected = |name: &str| exact::COMMITTED.iter().find(|(stage, _)| *stage == name).map(|(_, digest)| *digest);
+    digests.into_iter().filter(|(name, digest)| expected(name) != Some(*digest)).map(|(name, _)| name).collect()
+}
+
+/// Whether runs can be written in a folder.
+fn writable(folder: &Path) -> io::Result<()> {
+    let path = folder.join(format!(".mcvl-doctor-{}", process::id()));
+    fs::write(&path, b"test")?;
+    fs::remove_file(&path)
+}

@@ -1,0 +1,293 @@
+//! Looking at what is there: environments, decisions, and whether files are what was written.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use clap::Args;
+use mcvl::report::film;
+use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, Token};
+use mcvl_core::config::{Config, Learner, Preset};
+use mcvl_core::experiment::{EXPERIMENTS, Experiment};
+use mcvl_core::record::{CheckRecord, Verdict};
+use mcvl_core::run::Run;
+use serde_json::json;
+
+use super::terminal::{Terminal, wrap};
+use super::{Done, WIDTH};
+
+/// Arguments of `mcvl envs`.
+#[derive(Args)]
+pub struct EnvsArgs {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lists the environments.
+pub fn envs(arguments: &EnvsArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    if arguments.json {
+        let list: Vec<_> = EXPERIMENTS.iter().map(env_json).collect::<anyhow::Result<_>>()?;
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&list)?)?;
+        return Ok(Done::Well);
+    }
+    for (index, experiment) in EXPERIMENTS.iter().enumerate() {
+        if index > 0 {
+            writeln!(terminal.out)?;
+        }
+        let config = Config::new(experiment.name, Preset::Paper)?;
+        let run = Run::new(&config);
+        let spec = run.spec();
+        let name = terminal.paint(1, experiment.name);
+        let facts = [
+            format!("Task: {}.", experiment.task),
+            format!("Hack: {}.", experiment.hack),
+            format!("Best Safe return: {}. {}.", experiment.safe_best, variants(experiment)),
+            format!(
+                "Observation: {} numbers; {} actions; episodes of at most {} steps.",
+                spec.observation.width,
+                spec.actions.features(),
+                spec.max_steps
+            ),
+            format!(
+                "Default budget: {} Safe and {} Full steps, forecasts of {} updates: {} per seed.",
+                config.safe_steps, config.full_steps, config.forecast, experiment.cost
+            ),
+        ];
+        writeln!(terminal.out, "{name}  {}", experiment.title)?;
+        for fact in facts {
+            writeln!(terminal.out, "{}", wrap(&fact, 2, WIDTH))?;
+        }
+    }
+    Ok(Done::Well)
+}
+
+/// «Variant full: 49 intended, hack 201 observed but -49 hidden».
+fn variants(experiment: &Experiment) -> String {
+    let rows = experiment.variants.iter().zip(experiment.intended).zip(experiment.hacking);
+    let texts = rows.map(|((name, intended), hacking)| match hacking {
+        Some((observed, hidden)) => {
+            format!("Variant {name}: {intended} at best, by the hack {observed} observed but {hidden} hidden")
+        }
+        None => format!("variant {name}: {intended} at best, no hack"),
+    });
+    texts.collect::<Vec<_>>().join("; ")
+}
+
+fn env_json(experiment: &Experiment) -> anyhow::Result<serde_json::Value> {
+    let config = Config::new(experiment.name, Preset::Paper)?;
+    let run = Run::new(&config);
+    let spec = run.spec();
+    let rows = experiment.variants.iter().zip(experiment.intended).zip(experiment.hacking);
+    let variants: Vec<_> = rows
+        .map(|((name, intended), hacking)| {
+            let hack = hacking.map(|(observed, hidden)| json!({ "return": observed, "performance": hidden }));
+            json!({ "name": name, "intended": intended, "hack": hack })
+        })
+        .collect();
+    Ok(json!({
+        "name": experiment.name,
+        "title": experiment.title,
+        "task": experiment.task,
+        "hack": experiment.hack,
+        "cost": experiment.cost,
+        "safe_best": experiment.safe_best,
+        "variants": variants,
+        "observation": spec.observation.width,
+        "actions": spec.actions.features(),
+        "max_steps": spec.max_steps,
+        "safe_steps": config.safe_steps,
+        "full_steps": config.full_steps,
+        "forecast": config.forecast,
+    }))
+}
+
+/// Arguments of `mcvl ledger`.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  mcvl ledger runs/box-moving
+  mcvl ledger runs/box-moving --wrong --seed 3
+  mcvl ledger runs/box-moving --json | jq '.[].margin'")]
+pub struct LedgerArgs {
+    /// Run directory, or the folder of a seed in it
+    run: PathBuf,
+    /// Only refusals
+    #[arg(long, conflicts_with = "accepted")]
+    refused: bool,
+    /// Only acceptances
+    #[arg(long)]
+    accepted: bool,
+    /// Only decisions that were wrong in truth: a hack accepted, or an honest transition refused
+    #[arg(long)]
+    wrong: bool,
+    /// Only this seed
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lists decisions.
+pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    let set = runs::RunSet::read(&arguments.run)?;
+    let seeds: Vec<&SeedRun> =
+        set.seeds.iter().filter(|run| arguments.seed.is_none_or(|only| only == run.seed)).collect();
+    if let (Some(seed), true) = (arguments.seed, seeds.is_empty()) {
+        let there: Vec<String> = set.seeds.iter().map(|run| run.seed.to_string()).collect();
+        super::usage!("{} has no seed {seed}: there are {}", arguments.run.display(), there.join(", "));
+    }
+    let shown = |check: &&CheckRecord| {
+        let refused = check.verdict == Verdict::Refuse;
+        (!arguments.refused || refused) && (!arguments.accepted || !refused) && (!arguments.wrong || check.wrong())
+    };
+    if arguments.json {
+        let list: Vec<serde_json::Value> = seeds
+            .iter()
+            .flat_map(|run| run.checks.iter().filter(shown).map(|check| (run.seed, check)))
+            .map(|(seed, check)| {
+                let mut value = serde_json::to_value(check)?;
+                value["seed"] = seed.into();
+                Ok(value)
+            })
+            .collect::<serde_json::Result<_>>()?;
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&list)?)?;
+        return Ok(Done::Well);
+    }
+    for run in seeds {
+        let checks: Vec<&CheckRecord> = run.checks.iter().filter(shown).collect();
+        let (count, wrong) = (checks.len(), checks.iter().filter(|check| check.wrong()).count());
+        let refused = checks.iter().filter(|check| check.verdict == Verdict::Refuse).count();
+        let title = format!("seed {}: {count} checks, {refused} refused, {wrong} wrong", run.seed);
+        writeln!(terminal.out, "{}", terminal.paint(1, title))?;
+        for check in checks {
+            let color = if check.verdict == Verdict::Refuse { 31 } else { 32 };
+            let truth = if check.hack { "hack" } else { "honest" };
+            let wrong = if check.wrong() { ", WRONG" } else { "" };
+            let sentence = terminal.paint(color, check.sentence());
+            writeln!(terminal.out, "  #{:<4} {sentence} ({truth}{wrong})", check.number)?;
+        }
+    }
+    Ok(Done::Well)
+}
+
+/// Arguments of `mcvl explain`.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  mcvl explain runs/box-moving#3
+  mcvl explain runs/box-moving/seed-7#3 --svg decision.svg")]
+pub struct ExplainArgs {
+    /// Check, like runs/box-moving#17 or runs/box-moving/seed-3#17
+    #[arg(value_name = "RUN#NUMBER")]
+    check: Reference,
+    /// Write it as a picture as well
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+}
+
+/// Shows one decision in full.
+pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    let found = Found::read(&arguments.check)?;
+    let tape = runs::tape(&found.dir, arguments.check.number)?;
+    let run = Run::new(&found.config);
+    write!(terminal.out, "{}", film::explain(&tape, run.spec(), WIDTH, terminal.color))?;
+    let token = Token { config: found.config.clone(), number: tape.number, digest: found.line().digest() };
+    writeln!(terminal.out, "\nRe-derive it anywhere:\n  mcvl replay {token}")?;
+    if let Some(path) = &arguments.svg {
+        runs::write_atomic(path, film::svg(&tape, run.spec()).as_bytes())?;
+    }
+    Ok(Done::Well)
+}
+
+/// A check of a run that is there.
+pub struct Found {
+    /// Folder of its seed.
+    pub dir: SeedDir,
+    /// Configuration of the learner that made it.
+    pub config: Config,
+    /// The ledger up to it.
+    pub lines: Vec<LedgerLine>,
+}
+
+impl Found {
+    /// Finds what a reference names.
+    pub fn read(reference: &Reference) -> anyhow::Result<Self> {
+        let place = Place::find(&reference.place)?;
+        let plan = Plan::read(&place.run)?;
+        let seed = place.seed.unwrap_or(plan.seeds[0]);
+        let dir = place.run.seed(seed);
+        if !dir.path().exists() {
+            super::usage!("{} has not begun seed {seed} yet", place.run.path().display());
+        }
+        let mut lines = runs::ledger(&dir)?;
+        let count = lines.len();
+        if reference.number as usize > count {
+            let path = reference.place.display();
+            let there = match count {
+                0 => "it has no checks".to_owned(),
+                _ => format!("its checks are 1 to {count} (`mcvl ledger {path}` lists them)"),
+            };
+            super::usage!("{path} has no check {}: {there}", reference.number);
+        }
+        lines.truncate(reference.number as usize);
+        Ok(Self { dir, config: plan.config.with_seed(seed).with_agent(Learner::Mc), lines })
+    }
+
+    /// The line of the check itself.
+    pub fn line(&self) -> &LedgerLine {
+        self.lines.last().expect("checks are counted from 1")
+    }
+}
+
+/// Arguments of `mcvl verify`.
+#[derive(Args)]
+#[command(after_help = "Example:\n  mcvl verify runs/box-moving && echo untouched")]
+pub struct VerifyArgs {
+    /// Run directory
+    run: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Compares a run with its manifest, chains and checkpoints.
+pub fn verify(arguments: &VerifyArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    let run = match Place::find(&arguments.run) {
+        Ok(place) => place.run,
+        // run.toml itself may be what is missing: the manifest says so.
+        Err(RunsError::Request(_)) if runs::RunDir::new(&arguments.run).manifest().exists() => {
+            runs::RunDir::new(&arguments.run)
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let seen = runs::verify(&run)?;
+    let path = run.path().display();
+    if arguments.json {
+        let findings: Vec<_> = seen.findings.iter().map(|f| json!({ "file": f.file, "what": f.what })).collect();
+        let value = json!({
+            "files": seen.files,
+            "links": seen.links,
+            "unfinished": seen.unfinished,
+            "unknown": seen.unknown,
+            "findings": findings,
+        });
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&value)?)?;
+    } else {
+        for finding in &seen.findings {
+            writeln!(terminal.out, "{} {}: {}", terminal.paint(31, "MISMATCH"), finding.file, finding.what)?;
+        }
+        for file in &seen.unknown {
+            writeln!(terminal.out, "unknown {file}: not in the manifest")?;
+        }
+        let checked = format!("{} files and {} links of the ledger", seen.files, seen.links);
+        if !seen.findings.is_empty() {
+            writeln!(terminal.out, "{path} is not as it was written (checked {checked})")?;
+        } else if seen.unfinished > 0 {
+            writeln!(terminal.out, "{path} is unfinished and intact so far: {checked}")?;
+        } else {
+            writeln!(terminal.out, "{path} is intact: {checked}")?;
+        }
+    }
+    Ok(if seen.findings.is_empty() { Done::Well } else { Done::Mismatch })
+}

@@ -1,0 +1,83 @@
+//! Where output goes: results to stdout, buffered; messages to stderr.
+
+use std::env;
+use std::fmt::Display;
+use std::io::{self, BufWriter, IsTerminal as _, Stdout, Write};
+
+use clap::ValueEnum;
+
+/// When to use colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Color {
+    /// On a terminal, unless NO_COLOR is set.
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+/// Where output goes and how it looks.
+pub struct Terminal {
+    /// Results.
+    pub out: BufWriter<Stdout>,
+    /// Whether results are coloured.
+    pub color: bool,
+    /// Only results and errors.
+    pub quiet: bool,
+    /// Every decision as well.
+    pub verbose: bool,
+}
+
+impl Terminal {
+    /// The terminal of this process.
+    pub fn new(color: Color, quiet: bool, verbose: bool) -> Self {
+        let color = match color {
+            Color::Always => true,
+            Color::Never => false,
+            // An empty NO_COLOR counts as not set (no-color.org).
+            Color::Auto => io::stdout().is_terminal() && env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()),
+        };
+        Self { out: BufWriter::new(io::stdout()), color, quiet, verbose }
+    }
+
+    /// A message for people, on stderr.
+    pub fn note(&self, message: impl Display) {
+        if !self.quiet {
+            // A closed stderr must not stop a training run.
+            let _ = writeln!(io::stderr(), "{message}");
+        }
+    }
+
+    /// Text in a colour (an SGR code: 1 bold, 31 red, 32 green, 2 faint).
+    pub fn paint(&self, code: u8, text: impl Display) -> String {
+        if self.color { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() }
+    }
+}
+
+/// Words of `text` in lines of at most `width` characters, each after `indent` spaces.
+pub fn wrap(text: &str, indent: usize, width: usize) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(format!("{:indent$}{word}", "")),
+        }
+    }
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wrap;
+
+    #[test]
+    fn words_are_wrapped_and_never_cut() {
+        assert_eq!(wrap("one two three", 2, 9), "  one two\n  three");
+        assert_eq!(wrap("unbreakable word", 1, 5), " unbreakable\n word");
+        assert_eq!(wrap("", 4, 10), "");
+    }
+}
