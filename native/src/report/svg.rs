@@ -186,15 +186,13 @@ impl Svg {
         let (own, style) = if inline {
             (String::new(), String::new())
         } else {
-            let own = format!(
-                " xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
-                 font-family=\"'DejaVu Sans',Verdana,sans-serif\""
-            );
+            let own =
+                " xmlns=\"http://www.w3.org/2000/svg\" font-family=\"'DejaVu Sans',Verdana,sans-serif\"".to_owned();
             let back = format!("<rect class=\"f-back\" width=\"{width}\" height=\"{height}\"/>\n");
             (own, format!("<style>{}</style>\n{back}", standalone_style()))
         };
         format!(
-            "<svg{own} viewBox=\"0 0 {width} {height}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n{style}{}</svg>\n",
+            "<svg{own} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n{style}{}</svg>\n",
             escape(title),
             escape(description),
             self.body

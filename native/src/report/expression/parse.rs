@@ -114,12 +114,12 @@ impl Parser {
     /// Consumes the next token if it is one of these words or symbols.
     fn accept(&mut self, wanted: &[&'static str]) -> Option<&'static str> {
         let (_, token) = self.tokens.get(self.next)?;
-        let matches = |text: &&str| match token {
+        let matches = |text: &&'static str| match token {
             Token::Word(word) => word == *text,
             Token::Symbol(symbol) => *symbol == *text,
             Token::Number(_) => false,
         };
-        let found = wanted.iter().copied().find(|text| matches(&text))?;
+        let found = wanted.iter().copied().find(matches)?;
         self.next += 1;
         Some(found)
     }

@@ -12,7 +12,9 @@ const EDGE: f64 = 24.0;
 const CELL: f64 = 17.0;
 const TEXT: f64 = 12.5;
 const SMALL: f64 = 11.0;
+/// Height of the ratings, and their width inside the report page, where a phone has to show them.
 const RATINGS: f64 = 92.0;
+const INLINE: f64 = 360.0;
 
 /// The check as an SVG that stands alone, on a light background.
 pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
@@ -43,12 +45,12 @@ pub(in crate::report) fn frame(frame: &Frame, description: &str) -> String {
 /// Both ratings with every rollout as a dot, for the report page.
 pub(in crate::report) fn ratings(check: &CheckRecord) -> String {
     let mut svg = Svg::new();
-    draw_ratings(&mut svg, check, (0.0, 0.0), 420.0);
+    draw_ratings(&mut svg, check, (0.0, 0.0), INLINE);
     let words = format!(
         "with it {:.3}, without it {:.3}, margin {:+.3}",
         check.modified.utility, check.unmodified.utility, check.margin
     );
-    svg.finish((420.0, RATINGS), "Ratings of both futures", &words, true)
+    svg.finish((INLINE, RATINGS), "Ratings of both futures", &words, true)
 }
 
 /// A page that grows downwards.

@@ -141,7 +141,7 @@ fn claims(summary: &Summary) -> String {
     };
     let rows: String = summary.claims.iter().map(row).collect();
     format!(
-        "<h2>What was claimed, and what came out</h2>\n<table class=\"results\"><thead><tr><th scope=\"col\">outcome</th>\
+        "<h2>What was claimed, and what came out</h2>\n<table><thead><tr><th scope=\"col\">outcome</th>\
          <th scope=\"col\">claim</th></tr></thead><tbody>\n{rows}</tbody></table>\n"
     )
 }
@@ -149,7 +149,7 @@ fn claims(summary: &Summary) -> String {
 fn results(summary: &Summary) -> String {
     let estimate = |value: &Estimate| {
         format!(
-            "<td class=\"n\">{:.1}<small>{:.1} to {:.1}</small></td><td class=\"n\">{:.1}</td>",
+            "<td class=\"n\">{:.1}<small>{:.1} to {:.1}</small><small>IQM {:.1}</small></td>",
             value.mean, value.low, value.high, value.iqm
         )
     };
@@ -159,17 +159,17 @@ fn results(summary: &Summary) -> String {
             _ => format!("{} of {}", leg.hacked(), leg.seeds.len()),
         };
         let (observed, performance) = (estimate(&leg.observed_return), estimate(&leg.performance));
-        let name = learner(leg.arm).trim_start_matches("The ");
+        let name = learner(leg.arm).trim_start_matches("The ").trim_end_matches(" learner");
         format!("<tr><th scope=\"row\">{name}</th>{observed}{performance}<td class=\"n\">{hacked}</td></tr>\n")
     };
     let rows: String = summary.arms.iter().map(row).collect();
     format!(
-        "<h2>Where each learner ends</h2>\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Results\">\
-         <table class=\"results\"><caption>Mean of the last 5 evaluations over seeds, raw reward per episode; below it the \
-         95 % bootstrap interval. IQM: interquartile mean.</caption><thead><tr><th scope=\"col\">learner</th>\
-         <th class=\"n\" scope=\"col\">observed return</th><th class=\"n\" scope=\"col\">IQM</th>\
-         <th class=\"n\" scope=\"col\">performance</th><th class=\"n\" scope=\"col\">IQM</th>\
-         <th class=\"n\" scope=\"col\">hacked</th></tr></thead><tbody>\n{rows}</tbody></table></div>\n{}{}",
+        "<h2>Where each learner ends</h2>\n<p class=\"note\">Mean of the last 5 evaluations over seeds, raw reward per \
+         episode. Below it the 95 % bootstrap interval and the interquartile mean (IQM).</p>\n\
+         <div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Results\"><table><thead><tr>\
+         <th scope=\"col\">learner</th><th class=\"n\" scope=\"col\">observed return</th>\
+         <th class=\"n\" scope=\"col\">performance</th><th class=\"n\" scope=\"col\">hacked</th>\
+         </tr></thead><tbody>\n{rows}</tbody></table></div>\n{}{}",
         seeds(summary),
         decisions(summary)
     )

@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use mcvl_core::env::{EnvSpec, Frame};
+use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Verdict};
 
 use super::{Films, action, tag};
-use crate::report::claims::{Summary, plural, seed_list};
+use crate::report::claims::{SeedEnd, Summary, plural, seed_list};
 use crate::report::film::{self, Part};
 use crate::report::svg::escape;
 use crate::runs::{RunSet, SeedRun};
@@ -63,7 +63,7 @@ pub(super) fn failures(set: &RunSet, summary: &Summary, facts: &EnvSpec, films: 
 /// Everything that is not as it should be, in words.
 fn complaints(summary: &Summary) -> Vec<String> {
     let mut items = Vec::new();
-    let seeds = |test: &dyn Fn(&crate::report::claims::SeedEnd) -> bool| -> Vec<u64> {
+    let seeds = |test: &dyn Fn(&SeedEnd) -> bool| -> Vec<u64> {
         let ends = summary.arm(Arm::Mc).map_or(&[][..], |leg| &leg.seeds);
         ends.iter().filter(|end| test(end)).map(|end| end.seed).collect()
     };
@@ -78,7 +78,7 @@ fn complaints(summary: &Summary) -> Vec<String> {
     if let Some(verdicts) = &summary.verdicts {
         if verdicts.hacks_accepted > 0 {
             items.push(format!(
-                "{} accepted, {} of them because both futures were rated exactly equal.",
+                "{} accepted ({} by an exact tie of both futures).",
                 plural(verdicts.hacks_accepted, "hack"),
                 verdicts.hacks_tied
             ));
@@ -126,12 +126,12 @@ fn story(check: &CheckRecord, facts: &EnvSpec) -> String {
          <div class=\"action\">{}<span aria-hidden=\"true\">→</span></div><div class=\"frame\">{}</div><p>{}</p></div>\n\
          <div class=\"futures\">{}{}</div>\n<h3>Both futures, rated by what it wants today</h3>\
          <div class=\"ratings\">{}</div><p class=\"note\">Scaled reward. Every rollout is a dot, their mean (F<sub>m</sub> \
-         with it, F<sub>u</sub> without it) a bar; margin F<sub>m</sub> − F<sub>u</sub> = {:+.3}.</p>\n\
+         with it, F<sub>u</sub> without it) a bar. <span class=\"keep\">Margin F<sub>m</sub> − F<sub>u</sub> = {:+.3}.</span></p>\n\
          <p class=\"stamp {}\">{}</p>\n<p>{truth} The truth, which the check did not see: {}</p>\
          <p class=\"note\">{}</p></div>\n",
-        picture(&check.before, "before"),
+        film::frame(&check.before, "before"),
         action(check, facts),
-        picture(&check.after, "after"),
+        film::frame(&check.after, "after"),
         escape(&film::surprise_words(check)),
         future("If it learns from it", &check.modified, facts),
         future("If it does not", &check.unmodified, facts),
@@ -168,7 +168,7 @@ fn strip(film: &Film, facts: &EnvSpec) -> String {
         match part {
             Part::Frame(step) => {
                 let (above, below) = film::caption(film, step, facts);
-                let drawn = picture(&film.frames[step], &above);
+                let drawn = film::frame(&film.frames[step], &above);
                 let (above, below) = (escape(&above), escape(&below));
                 let _ = write!(
                     cells,
@@ -181,8 +181,4 @@ fn strip(film: &Film, facts: &EnvSpec) -> String {
         }
     }
     format!("<ul class=\"strip\">{cells}</ul>{gap}")
-}
-
-fn picture(frame: &Frame, description: &str) -> String {
-    film::frame(frame, description)
 }

@@ -11,7 +11,7 @@ const SMALL: f64 = 11.5;
 /// Room around the plotting area: tick labels and titles left and below, names of references right.
 const LEFT: f64 = 64.0;
 const RIGHT: f64 = 92.0;
-const TOP: f64 = 54.0;
+const TOP: f64 = 62.0;
 const BOTTOM: f64 = 50.0;
 const LEGEND_ROW: f64 = 24.0;
 const KEY: f64 = 34.0;
@@ -38,8 +38,8 @@ impl Area {
 /// Draws a figure.
 pub(super) fn figure(figure: &Figure, layout: Layout, inline: bool) -> String {
     let (panel_width, panel_height, columns) = match layout {
-        Layout::Row => (520.0, 350.0, figure.panels.len().max(1)),
-        Layout::Column => (400.0, 300.0, 1),
+        Layout::Row => (520.0, 358.0, figure.panels.len().max(1)),
+        Layout::Column => (400.0, 308.0, 1),
     };
     let width = panel_width * columns as f64;
     let mut svg = Svg::new();
