@@ -245,7 +245,7 @@ pub fn plural(count: u64, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
-/// Seeds as text, runs of three or more shortened: `0..=9, 12`.
+/// Seeds as text, runs of three or more shortened: `0 to 9, 12`.
 pub fn seed_list(seeds: &[u64]) -> String {
     let mut parts: Vec<String> = Vec::new();
     let mut rest = seeds;
@@ -253,7 +253,7 @@ pub fn seed_list(seeds: &[u64]) -> String {
         let length = rest.iter().zip(0..).take_while(|(seed, index)| *seed - first == *index).count();
         match length {
             1 | 2 => parts.extend(rest[..length].iter().map(u64::to_string)),
-            _ => parts.push(format!("{first}..={}", rest[length - 1])),
+            _ => parts.push(format!("{first} to {}", rest[length - 1])),
         }
         rest = &rest[length..];
     }
@@ -446,7 +446,7 @@ mod tests {
 
     #[test]
     fn seed_lists_are_short() {
-        assert_eq!(seed_list(&[0, 1, 2, 3, 7, 9, 10]), "0..=3, 7, 9, 10");
+        assert_eq!(seed_list(&[0, 1, 2, 3, 7, 9, 10]), "0 to 3, 7, 9, 10");
         assert_eq!(seed_list(&[u64::MAX]), "18446744073709551615");
         assert_eq!(seed_list(&[]), "");
     }

@@ -194,7 +194,8 @@ fn seeds(summary: &Summary) -> String {
     let rows: String = summary.seeds.iter().map(row).collect();
     format!(
         "<details><summary>Every seed <span>observed return / performance at the end</span></summary>\
-         <table><thead><tr><th scope=\"col\">seed</th>{heads}</tr></thead><tbody>\n{rows}</tbody></table></details>\n"
+         <div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Every seed\"><table><thead><tr>\
+         <th scope=\"col\">seed</th>{heads}</tr></thead><tbody>\n{rows}</tbody></table></div></details>\n"
     )
 }
 
@@ -202,7 +203,7 @@ fn seed_tag(end: &SeedEnd) -> String {
     if end.hacked() {
         tag("bad", "wrong", "hacked")
     } else if end.faithful() {
-        tag("good", "accepted", "as intended")
+        tag("good", "accepted", "not hacked")
     } else {
         tag("plain", "open", "neither")
     }
@@ -259,12 +260,27 @@ fn train_command(set: &RunSet) -> String {
     for (key, value) in set.config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
         let _ = write!(command, " --set {key}={value}");
     }
+    if let [only] = full_legs(set).as_slice() {
+        let _ = write!(command, " --agent {}", only.name());
+    }
     let seeds: Vec<u64> = set.seeds.iter().map(|seed| seed.seed).collect();
     match seeds.as_slice() {
-        [first, .., last] if last - first + 1 == seeds.len() as u64 => command + &format!(" --seeds {first}..={last}"),
-        [only] => command + &format!(" --seed {only}"),
-        several => several.iter().map(|seed| format!("{command} --seed {seed}")).collect::<Vec<_>>().join("\n"),
+        [] => command,
+        [only] => format!("{command} --seed {only}"),
+        [first, .., last] if last - first + 1 == seeds.len() as u64 && *last < u64::MAX => {
+            format!("{command} --seeds {first}..{}", last + 1)
+        }
+        _ => {
+            let list: Vec<String> = seeds.iter().map(u64::to_string).collect();
+            format!("{command} --seeds {}", list.join(","))
+        }
     }
+}
+
+/// The learners that were trained in the Full world.
+fn full_legs(set: &RunSet) -> Vec<Arm> {
+    let trained = |arm: &Arm| set.seeds.iter().any(|seed| seed.evaluations.iter().any(|point| point.arm == *arm));
+    [Arm::Baseline, Arm::Mc].into_iter().filter(trained).collect()
 }
 
 /// A short name of a run: its folder's.
