@@ -63,6 +63,12 @@ fn cycle(film: &Film) -> Option<(usize, usize)> {
         .min_by_key(|(start, period)| start + period)
 }
 
+/// A scaled reward with its sign and two decimals; what rounds to zero has no minus.
+pub(super) fn signed(reward: f32) -> String {
+    let text = format!("{reward:+.2}");
+    if text == "-0.00" { "+0.00".into() } else { text }
+}
+
 /// A gap in words.
 pub(super) fn gap_words(cycle: Option<usize>, steps: usize, predicted: f32) -> String {
     let how = match cycle {
@@ -70,7 +76,7 @@ pub(super) fn gap_words(cycle: Option<usize>, steps: usize, predicted: f32) -> S
         Some(period) => format!("the last {period} steps again and again for {steps} more"),
         None => format!("{steps} more steps"),
     };
-    format!("{how}, expected {predicted:+.2} in all")
+    format!("{how}, expected {} in all", signed(predicted))
 }
 
 /// Where a film starts, in words.
@@ -86,7 +92,7 @@ pub(super) fn caption(film: &Film, step: usize, names: &EnvSpec) -> (String, Str
     if step == 0 {
         return ("start".into(), String::new());
     }
-    let predicted = film.predicted.get(step - 1).map_or(String::new(), |reward| format!("{reward:+.2}"));
+    let predicted = film.predicted.get(step - 1).map_or(String::new(), |reward| signed(*reward));
     (format!("{step} {}", names.actions.name(&film.actions[step - 1])), predicted)
 }
 
@@ -94,8 +100,11 @@ pub(super) fn caption(film: &Film, step: usize, names: &EnvSpec) -> (String, Str
 pub(super) fn surprise_words(check: &CheckRecord) -> String {
     let off = (check.reward - check.predicted).abs();
     format!(
-        "Expected {:+.2}, received {:+.2} (raw {:+}): off by {off:.2}, checked from {}.",
-        check.predicted, check.reward, check.reward_raw, check.threshold
+        "Expected {}, received {} (raw {:+}): off by {off:.2}, checked from {}.",
+        signed(check.predicted),
+        signed(check.reward),
+        check.reward_raw,
+        check.threshold
     )
 }
 
@@ -195,6 +204,11 @@ mod tests {
         let words = |hack, verdict| truth_words(&samples::check(1, hack, verdict));
         assert!(words(true, Verdict::Accept).contains("WRONG") && words(false, Verdict::Refuse).contains("WRONG"));
         assert!(!words(true, Verdict::Refuse).contains("WRONG") && !words(false, Verdict::Accept).contains("WRONG"));
+    }
+
+    #[test]
+    fn zero_has_no_minus() {
+        assert_eq!([-0.001, 0.0, -0.006, 1.0].map(signed), ["+0.00", "+0.00", "-0.01", "+1.00"]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use mcvl_core::record::{CheckRecord, Verdict};
 
 use super::{action, tag};
 use crate::report::claims::plural;
+use crate::report::film::signed;
 use crate::runs::{RunSet, SeedRun};
 
 /// The decisions of all seeds.
@@ -70,13 +71,13 @@ fn row(check: &CheckRecord, facts: &EnvSpec) -> String {
     let tie = if check.tie { " (tie)" } else { "" };
     format!(
         "<tr class=\"{class}{wrong}\"><td>{verdict}</td><td>{truth}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-         <td>{}</td><td class=\"n\">{:+.2}</td><td class=\"n\">{:+.2}</td><td class=\"n\">{:.3}</td>\
+         <td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td>\
          <td class=\"n\">{:.3}</td><td class=\"n\">{:+.3}{tie}</td></tr>\n",
         check.number,
         check.step,
         action(check, facts),
-        check.predicted,
-        check.reward,
+        signed(check.predicted),
+        signed(check.reward),
         check.modified.utility,
         check.unmodified.utility,
         check.margin,
