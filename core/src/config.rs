@@ -321,6 +321,16 @@ impl Config {
             let names: Vec<&str> = experiment::EXPERIMENTS.iter().map(|e| e.name).collect();
             return Err(ConfigError::new("env", format!("env: {}", expected_one_of(env, &names))));
         };
+        Ok(Self::of(experiment, preset))
+    }
+
+    /// The configuration for a world that an application brings itself: the preset's table without an
+    /// experiment's own values. Its `env` is `custom`.
+    pub fn custom(preset: Preset) -> Self {
+        Self::of(&experiment::CUSTOM, preset)
+    }
+
+    fn of(experiment: &Experiment, preset: Preset) -> Self {
         let mut config = Self::table(experiment.name);
         config.preset = preset;
         if preset == Preset::Release {
@@ -334,12 +344,12 @@ impl Config {
         for row in experiment.paper.iter().chain(own) {
             config.set(row.key, row.value).expect("the table of experiments is valid");
         }
-        Ok(config)
+        config
     }
 
     /// The experiment of this configuration.
     pub fn experiment(&self) -> &'static Experiment {
-        experiment::find(&self.env).expect("a configuration names an experiment")
+        experiment::find(&self.env).unwrap_or(&experiment::CUSTOM)
     }
 
     /// Sets one value from its text.
@@ -383,7 +393,7 @@ impl Config {
 
     /// Settings that differ from the preset, as (key, value).
     pub fn changes(&self) -> Vec<(&'static str, String)> {
-        let preset = Self::new(&self.env, self.preset).expect("a configuration names an experiment");
+        let preset = Self::of(self.experiment(), self.preset);
         KEYS.iter()
             .map(|key| (key.name, key.value(self), key.value(&preset)))
             .filter(|(_, value, default)| value != default)
@@ -411,30 +421,35 @@ impl FromStr for Config {
 
     /// Parses `key=value` pairs separated by white space or `&`. `env` is required; each key once.
     fn from_str(text: &str) -> Result<Self, ConfigError> {
-        let mut pairs: Vec<(&str, &str)> = Vec::new();
-        for part in text.split(|c: char| c.is_whitespace() || c == '&').filter(|part| !part.is_empty()) {
-            let Some((key, value)) = part.split_once('=') else {
-                return Err(ConfigError::new(part, format!("`{part}` is not of the form key=value")));
-            };
-            if pairs.iter().any(|(other, _)| *other == key) {
-                return Err(ConfigError::new(key, format!("{key}: given twice")));
-            }
-            pairs.push((key, value));
-        }
-        let find = |name: &str| pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| *value);
-        let Some(env) = find("env") else {
-            return Err(ConfigError::new("env", "env: missing, for example env=box-moving".to_owned()));
-        };
-        let preset = match find("preset") {
-            Some(name) => Preset::parse(name).map_err(|m| ConfigError::new("preset", format!("preset: {m}")))?,
-            None => Preset::Paper,
-        };
-        let mut config = Self::new(env, preset)?;
-        for (key, value) in pairs.into_iter().filter(|(key, _)| *key != "env" && *key != "preset") {
-            config.set(key, value)?;
-        }
-        Ok(config)
+        parse(text, Self::new)
     }
+}
+
+/// Parses the text form; `defaults` gives the configuration of an environment and a preset.
+fn parse(text: &str, defaults: impl Fn(&str, Preset) -> Result<Config, ConfigError>) -> Result<Config, ConfigError> {
+    let mut pairs: Vec<(&str, &str)> = Vec::new();
+    for part in text.split(|c: char| c.is_whitespace() || c == '&').filter(|part| !part.is_empty()) {
+        let Some((key, value)) = part.split_once('=') else {
+            return Err(ConfigError::new(part, format!("`{part}` is not of the form key=value")));
+        };
+        if pairs.iter().any(|(other, _)| *other == key) {
+            return Err(ConfigError::new(key, format!("{key}: given twice")));
+        }
+        pairs.push((key, value));
+    }
+    let find = |name: &str| pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| *value);
+    let Some(env) = find("env") else {
+        return Err(ConfigError::new("env", "env: missing, for example env=box-moving".to_owned()));
+    };
+    let preset = match find("preset") {
+        Some(name) => Preset::parse(name).map_err(|m| ConfigError::new("preset", format!("preset: {m}")))?,
+        None => Preset::Paper,
+    };
+    let mut config = defaults(env, preset)?;
+    for (key, value) in pairs.into_iter().filter(|(key, _)| *key != "env" && *key != "preset") {
+        config.set(key, value)?;
+    }
+    Ok(config)
 }
 
 impl serde::Serialize for Config {
@@ -446,7 +461,14 @@ impl serde::Serialize for Config {
 impl<'de> serde::Deserialize<'de> for Config {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
+        // Snapshots of an application's own world come back too; as text only built-in worlds do.
+        parse(
+            &text,
+            |env, preset| {
+                if env == experiment::CUSTOM.name { Ok(Self::custom(preset)) } else { Self::new(env, preset) }
+            },
+        )
+        .map_err(serde::de::Error::custom)
     }
 }
 

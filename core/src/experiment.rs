@@ -68,7 +68,22 @@ pub static EXPERIMENTS: &[Experiment] = &[Experiment {
     hacking: &[Some((201.0, -49.0)), None, None],
 }];
 
-/// The experiment of this name.
+/// The row of worlds that an application brings itself: nothing is known of them.
+pub static CUSTOM: Experiment = Experiment {
+    name: "custom",
+    title: "Your own world",
+    task: "",
+    hack: "",
+    variants: &["full"],
+    cost: "",
+    paper: &[],
+    release: &[],
+    safe_best: f64::NAN,
+    intended: &[f64::NAN],
+    hacking: &[None],
+};
+
+/// The built-in experiment of this name.
 pub fn find(name: &str) -> Option<&'static Experiment> {
     EXPERIMENTS.iter().find(|experiment| experiment.name == name)
 }

@@ -1,4 +1,24 @@
-//! Modification-Considering Value Learning.
+//! Modification-Considering Value Learning: a reinforcement learner that, before it learns from a
+//! surprising transition, forecasts two futures of itself (one that learned from it, one that did not),
+//! rates both with the utility it holds *today*, and refuses the update if learning would make things
+//! worse. So it refuses to be reward-hacked.
+//!
+//! This crate decides everything and touches nothing: it performs no input or output, reads no clock,
+//! spawns nothing, needs no `std`, and gives the same bits on every target.
+//!
+//! # Your own world in the modification check
+//! ```
+#![doc = include_str!("../examples/embed.rs")]
+//! ```
+//!
+//! # Where to look
+//! - [`env`](mod@env): worlds; implement [`env::Environment`] for yours and run [`env::contract::check`] on it.
+//! - [`trainer::Trainer`]: the loop, polled with a budget; [`run::Run`] is the same with its types erased,
+//!   for the built-in worlds.
+//! - [`config`]: every setting with its meaning and source; a run is a string.
+//! - [`record`]: what a run says, and what every number means.
+//! - [`check`], [`forecast`]: the decision; [`agent`], [`nn`], [`replay`]: what learns.
+//! - [`exact`]: the proof that this machine computes what every other does.
 #![no_std]
 #![deny(unsafe_code)]
 extern crate alloc;

@@ -260,6 +260,12 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         (self.arm == Arm::Safe).then(|| self.config.agent = agent)
     }
 
+    /// Forgets the unmodified future of the last check, so that the next check forecasts both. Changes
+    /// no decision, only its cost.
+    pub fn forget_forecast(&mut self) {
+        self.reusable = None;
+    }
+
     /// Where the run stands.
     pub fn status(&self) -> Status {
         match self.activity {
@@ -660,3 +666,6 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         RunError::NotFinite { what, arm: self.arm, step: self.step }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -172,3 +172,121 @@ pub fn summarise(resets: &[Rollout], weight: u32, current: Option<&Rollout>, dig
         films: resets.iter().chain(current).filter_map(|r| r.film.clone()).collect(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::agent::ddqn::Ddqn;
+    use crate::check::decide;
+    use crate::env::box_moving::{BoxMoving, Variant};
+    use crate::env::{Discrete, EnvSpec, Step};
+    use crate::nn::mlp::Mlp;
+    use crate::record::Verdict;
+    use crate::trainer::Trainer;
+
+    /// A network of two hidden layers whose first units copy inputs: `out[o] = Σ terms (input, o, weight)
+    /// + constant`.
+    fn linear(network: &mut Mlp, terms: &[(usize, usize, f32)], constant: f32) {
+        let sizes = network.sizes().to_vec();
+        let (hidden, outputs) = (sizes[1], sizes[3]);
+        let params = network.params_mut();
+        params.fill(0.0);
+        let second = (sizes[0] + 1) * hidden;
+        let third = second + (hidden + 1) * hidden;
+        for (unit, &(input, output, weight)) in terms.iter().enumerate() {
+            params[input * hidden + unit] = 1.0;
+            params[second + unit * hidden + unit] = 1.0;
+            params[third + unit * outputs + output] = weight;
+        }
+        params[third + hidden * outputs..].fill(constant);
+    }
+
+    /// The true reward of Box Moving, a policy by the agent's cell (true: up), and a constant value.
+    fn ideal(up: [bool; 5], value: f32) -> (Ddqn, Ddqn, RewardModel, Config) {
+        let config: Config = "env=box-moving".parse().unwrap();
+        let world = BoxMoving::new(Variant::Full, true);
+        let trainer = Trainer::gridworld(config.clone(), world.clone(), world);
+        let (mut policy, mut judge, mut reward) =
+            (trainer.agent().clone(), trainer.agent().clone(), trainer.reward_model().clone());
+        let preferences: Vec<_> = (0..5).map(|cell| (5 + cell, usize::from(!up[cell]), 1.0)).collect();
+        linear(policy.online_mut(), &preferences, 0.0);
+        linear(judge.online_mut(), &[], value);
+        linear(reward.network_mut(), &[(0, 0, 0.2), (4, 0, -0.2)], 0.0);
+        (policy, judge, reward, config)
+    }
+
+    const INTENDED: [bool; 5] = [false, true, true, true, true];
+    const SAFE: [bool; 5] = [false, false, true, true, true];
+    const HACKING: [bool; 5] = [false, false, false, false, true];
+
+    fn utility(up: [bool; 5], value: f32, steps: u32) -> f64 {
+        let (policy, judge, reward, mut config) = ideal(up, value);
+        config.rollout_steps = steps;
+        let start = Start::reset(&BoxMoving::new(Variant::Full, true), Rng::new(0));
+        rate(&policy, &Judge { value: &judge, reward: &reward, config: &config }, vec![start])[0].utility
+    }
+
+    #[test]
+    fn ideal_utilities_of_the_fact_sheet() {
+        for (policy, thirty, forever) in [(INTENDED, 1.411, 1.851), (SAFE, 0.705, 0.924), (HACKING, -1.411, -1.851)] {
+            assert!((utility(policy, 0.0, 30) - thirty).abs() < 1e-3, "{policy:?} {}", utility(policy, 0.0, 30));
+            // A whole episode lacks what comes after 100 steps: 0.95^100, under one per cent.
+            assert!((utility(policy, 0.0, 100) - forever).abs() < 0.02, "{policy:?}");
+        }
+        let (good, bad) = (utility(INTENDED, 0.0, 30), utility(HACKING, 0.0, 30));
+        assert_eq!(decide(bad, good, 1e-6), Verdict::Refuse);
+        assert_eq!(decide(good, bad, 1e-6), Verdict::Accept);
+        assert_eq!(decide(good, good, 1e-6), Verdict::Accept);
+    }
+
+    #[test]
+    fn the_final_value_is_discounted_by_the_steps_made() {
+        for (limit, made) in [(30u32, 30i32), (0, 0), (500, 100)] {
+            // A truncated rollout (100 steps) is bootstrapped where it stops.
+            let difference = utility(INTENDED, 2.0, limit) - utility(INTENDED, 0.0, limit);
+            let expected = 2.0 * (0..made).fold(1.0, |product, _| product * f64::from(0.95f32));
+            assert!((difference - expected).abs() < 1e-9, "{limit}: {difference} {expected}");
+        }
+    }
+
+    /// Box Moving that ends for good after three steps.
+    #[derive(Clone)]
+    struct Brief(BoxMoving, u32);
+
+    impl Environment for Brief {
+        type Action = Discrete;
+        fn spec(&self) -> &EnvSpec {
+            self.0.spec()
+        }
+        fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+            self.1 = 0;
+            self.0.reset(rng, observation);
+        }
+        fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+            self.1 += 1;
+            let end = (self.1 == 3).then_some(EpisodeEnd::Terminated);
+            Step { end, ..self.0.step(action, rng, observation) }
+        }
+    }
+
+    #[test]
+    fn a_terminated_rollout_has_no_final_value() {
+        let (policy, judge, reward, config) = ideal(INTENDED, 100.0);
+        let judge = Judge { value: &judge, reward: &reward, config: &config };
+        let start = Start::reset(&Brief(BoxMoving::new(Variant::Full, true), 0), Rng::new(0));
+        let rated = rate(&policy, &judge, vec![start]);
+        // Up, up, down: the box reaches the top after two steps and pays with the third.
+        assert!((rated[0].utility - 0.2 * 0.95 * 0.95).abs() < 1e-6, "{}", rated[0].utility);
+        let film = rated[0].film.as_ref().unwrap();
+        assert_eq!((film.frames.len(), film.actions.len(), film.bootstrap), (4, 3, 0.0));
+    }
+
+    #[test]
+    fn the_mean_counts_equal_resets_and_the_current_state() {
+        let rollout = |utility| Rollout { utility, performance: 0.0, film: None };
+        let record = summarise(&[rollout(1.0)], 3, Some(&rollout(5.0)), 7);
+        assert_eq!(record.utility, 2.0);
+        assert_eq!(record.rollouts, [1.0, 1.0, 1.0, 5.0]);
+        assert_eq!(summarise(&[rollout(1.0), rollout(2.0)], 1, None, 7).utility, 1.5);
+    }
+}

@@ -131,11 +131,24 @@ impl Action for Discrete {
 }
 
 /// An action as plain data: a number in JSON.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "u8", into = "u8")]
 pub enum ActionValue {
     /// Index of a discrete action.
     Discrete(u8),
+}
+
+impl From<u8> for ActionValue {
+    fn from(index: u8) -> Self {
+        ActionValue::Discrete(index)
+    }
+}
+
+impl From<ActionValue> for u8 {
+    fn from(action: ActionValue) -> Self {
+        let ActionValue::Discrete(index) = action;
+        index
+    }
 }
 
 /// What a step brought.
@@ -165,7 +178,7 @@ pub struct Frame {
     /// What the agent sees.
     pub seen: String,
     /// What is true, where it differs from what is seen.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub truth: Option<String>,
 }
 

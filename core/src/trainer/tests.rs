@@ -1,0 +1,382 @@
+//! The loop as a whole, on Box Moving with short legs.
+
+use super::*;
+use crate::env::box_moving::{BoxMoving, Variant};
+use crate::env::{EnvSpec, ObservationSpec};
+use crate::forecast::cpu::CpuForecaster;
+use crate::run::Run;
+use alloc::string::{String, ToString};
+
+/// A short run that meets hacks; with `scheme=all` every step is checked.
+const SHORT: &str = "env=box-moving safe_steps=300 full_steps=80 exploration=60 epsilon_decay=200 forecast=20 rollouts=3 evaluations=10";
+
+fn config(more: &str) -> Config {
+    let mut config: Config = SHORT.parse().unwrap();
+    for (key, value) in more.split_whitespace().filter_map(|pair| pair.split_once('=')) {
+        config.set(key, value).unwrap();
+    }
+    config
+}
+
+fn trainer(config: &Config) -> Trainer<BoxMoving, Ddqn> {
+    let flag = config.flag;
+    Trainer::gridworld(config.clone(), BoxMoving::new(Variant::Safe, flag), BoxMoving::new(Variant::Full, flag))
+}
+
+/// Every event of a run polled with this budget; `between` is called after every poll.
+fn events<E: Environment<Action = Discrete>>(
+    mut trainer: Trainer<E, Ddqn>,
+    budget: u32,
+    mut between: impl FnMut(&mut Trainer<E, Ddqn>),
+) -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut forecaster = CpuForecaster::default();
+    loop {
+        let status = trainer.poll(&mut forecaster, Budget(budget), &mut |event: &Event| events.push(event.clone()));
+        between(&mut trainer);
+        if status.unwrap() == Status::Done {
+            return events;
+        }
+    }
+}
+
+fn checks(events: &[Event]) -> Vec<CheckRecord> {
+    let check = |event: &Event| if let Event::Check(check) = event { Some((**check).clone()) } else { None };
+    events.iter().filter_map(check).collect()
+}
+
+/// Without what the way of computing may change: the cost.
+fn decisions(events: &[Event]) -> Vec<Event> {
+    let mut events = events.to_vec();
+    for event in &mut events {
+        if let Event::Check(check) = event {
+            (check.cost, check.reused) = (0, false);
+        }
+    }
+    events
+}
+
+#[test]
+fn polls_of_any_size_give_the_same_events() {
+    let whole = events(trainer(&config("")), u32::MAX, |_| {});
+    assert!(!checks(&whole).is_empty());
+    for budget in [1, 7, 1000] {
+        assert_eq!(events(trainer(&config("")), budget, |_| {}), whole, "budget {budget}");
+    }
+}
+
+#[test]
+fn the_reused_future_changes_no_bit() {
+    let reused = events(trainer(&config("scheme=all")), 1, |_| {});
+    let fresh = events(trainer(&config("scheme=all")), 1, Trainer::forget_forecast);
+    let count = checks(&reused).iter().filter(|check| check.reused).count();
+    assert!(count >= 3, "the run meets reuse: {count}");
+    assert!(checks(&fresh).iter().all(|check| !check.reused && check.cost == 40));
+    assert!(checks(&reused).iter().all(|check| check.cost == if check.reused { 20 } else { 40 }));
+    assert_eq!(decisions(&reused), decisions(&fresh));
+}
+
+/// Box Moving that does not say that it is deterministic.
+#[derive(Clone)]
+struct Modest {
+    inner: BoxMoving,
+    spec: EnvSpec,
+}
+
+impl Modest {
+    fn new(variant: Variant) -> Self {
+        let inner = BoxMoving::new(variant, true);
+        Self { spec: EnvSpec { deterministic: false, ..inner.spec().clone() }, inner }
+    }
+}
+
+impl Environment for Modest {
+    type Action = Discrete;
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        self.inner.reset(rng, observation);
+    }
+    fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+        self.inner.step(action, rng, observation)
+    }
+    fn frame(&self) -> Frame {
+        self.inner.frame()
+    }
+}
+
+#[test]
+fn equal_rollouts_made_once_change_no_bit() {
+    let config = config("evaluation_episodes=4");
+    let once = events(trainer(&config), u32::MAX, |_| {});
+    let modest = Trainer::gridworld(config, Modest::new(Variant::Safe), Modest::new(Variant::Full));
+    let all = events(modest, u32::MAX, |_| {});
+    assert!(checks(&once).iter().all(|check| check.modified.rollouts.len() >= 3));
+    assert_eq!(once, all);
+}
+
+#[test]
+fn the_two_futures_differ_only_in_the_forced_transition() {
+    // Without forecast updates both futures are the live learner: equal in every respect, a tie, accepted.
+    let none = checks(&events(trainer(&config("forecast=0 scheme=all")), u32::MAX, |_| {}));
+    assert_eq!(none.len(), 80);
+    for check in &none {
+        assert_eq!(check.modified, check.unmodified);
+        assert!(check.tie && check.verdict == Verdict::Accept && check.cost == 0);
+    }
+    // With them, the forced transition is what makes them differ.
+    let some = checks(&events(trainer(&config("")), u32::MAX, |_| {}));
+    assert!(some.iter().all(|check| check.modified.digest != check.unmodified.digest));
+    // Forcing a transition through an empty difference: a job without it twice gives one future twice.
+    let t = trained();
+    let job = |forced| ForecastJob {
+        agent: &t.agent,
+        replay: &t.replay,
+        forced,
+        updates: 30,
+        batch: 32,
+        seed: 1,
+        version: 5,
+    };
+    let extra = [t.replay.get(0)];
+    let jobs = [job(&[]), job(&extra), job(&[])];
+    let mut forecaster = CpuForecaster::default();
+    let Poll::Ready(Ok(futures)) = forecaster.poll(&jobs, &mut Budget(u32::MAX)) else { panic!("90 updates") };
+    assert_eq!(futures[0].digest(), futures[2].digest());
+    assert_ne!(futures[0].digest(), futures[1].digest());
+}
+
+/// A trainer at the switch.
+fn trained() -> Trainer<BoxMoving, Ddqn> {
+    let mut t = trainer(&config(""));
+    while t.poll(&mut CpuForecaster::default(), Budget(u32::MAX), &mut ()).unwrap() != Status::Switch {}
+    t
+}
+
+#[test]
+fn a_check_leaves_the_learner_as_it_is() {
+    let mut t = trained();
+    let mut forecaster = CpuForecaster::default();
+    while !matches!(t.activity, Activity::Check(_)) {
+        t.poll(&mut forecaster, Budget(1), &mut ()).unwrap();
+    }
+    let before = (t.agent.digest(), t.reward_model.digest(), t.replay.clone(), t.explore_rng.clone(), t.updates);
+    let world = (t.world.clone(), t.world_rng.clone(), t.observation.clone());
+    while matches!(t.activity, Activity::Check(_)) && t.check_progress.is_none_or(|p| p < 0.9) {
+        t.poll(&mut forecaster, Budget(1), &mut ()).unwrap();
+        if matches!(t.activity, Activity::Check(_)) {
+            let now = (t.agent.digest(), t.reward_model.digest(), t.replay.clone(), t.explore_rng.clone(), t.updates);
+            assert_eq!(now, before);
+            assert_eq!((t.world.clone(), t.world_rng.clone(), t.observation.clone()), world);
+        }
+    }
+}
+
+#[test]
+fn refused_transitions_are_not_stored_and_reset_the_world() {
+    let mut seen = 0;
+    let mut last = (0, 0);
+    let mut t = trained();
+    let mut forecaster = CpuForecaster::default();
+    while t.status() != Status::Done {
+        let mut refused = None;
+        let mut note = |event: &Event| {
+            if let Event::Step(step) = event {
+                refused = Some(!step.stored);
+            }
+        };
+        t.poll(&mut forecaster, Budget(1), &mut note).unwrap();
+        let now = (t.replay.pushed(), t.updates);
+        match refused {
+            Some(true) => {
+                seen += 1;
+                assert_eq!(now, last, "neither stored nor learned");
+                assert_eq!((t.world.box_cell(), t.world.agent_cell(), t.episode.length), (2, 2, 0));
+            }
+            Some(false) => assert_eq!(now, (last.0 + 1, last.1 + 1)),
+            None => {}
+        }
+        last = now;
+    }
+    assert!(seen > 0, "the run refuses something");
+}
+
+#[test]
+fn baseline_and_checking_learner_share_everything_up_to_the_first_refusal() {
+    let run = |agent| {
+        let mut t = trained();
+        t.choose(agent).unwrap();
+        events(t, u32::MAX, |_| {})
+    };
+    let steps = |events: Vec<Event>| -> Vec<StepRecord> {
+        events.into_iter().filter_map(|event| if let Event::Step(step) = event { Some(step) } else { None }).collect()
+    };
+    let (baseline, mc) = (steps(run(Learner::Baseline)), steps(run(Learner::Mc)));
+    let first = mc.iter().position(|step| !step.stored).expect("a refusal");
+    let shared = |steps: &[StepRecord]| -> Vec<(u32, f32, f32)> {
+        steps[..first].iter().map(|s| (s.step, s.reward, s.predicted)).collect()
+    };
+    assert!(first > 0);
+    assert_eq!(shared(&baseline), shared(&mc));
+}
+
+#[test]
+fn performance_is_never_an_input() {
+    /// Box Moving that lies about performance.
+    #[derive(Clone)]
+    struct Liar(BoxMoving);
+    impl Environment for Liar {
+        type Action = Discrete;
+        fn spec(&self) -> &EnvSpec {
+            self.0.spec()
+        }
+        fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+            self.0.reset(rng, observation);
+        }
+        fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+            Step { performance: 1e6, ..self.0.step(action, rng, observation) }
+        }
+    }
+    let ends = |events: &[Event]| -> Vec<Event> {
+        events.iter().filter(|event| matches!(event, Event::End(_))).cloned().collect()
+    };
+    let honest = events(trainer(&config("")), u32::MAX, |_| {});
+    let world = |variant| Liar(BoxMoving::new(variant, true));
+    let lied = events(Trainer::gridworld(config(""), world(Variant::Safe), world(Variant::Full)), u32::MAX, |_| {});
+    assert_eq!(ends(&honest), ends(&lied));
+    let margins = |events: &[Event]| -> Vec<f64> { checks(events).iter().map(|check| check.margin).collect() };
+    assert_eq!(margins(&honest), margins(&lied));
+}
+
+#[test]
+fn the_exploration_schedule_is_that_of_the_settings() {
+    let mut t = trainer(&config(""));
+    let mut epsilon = |arm, step| {
+        (t.arm, t.step) = (arm, step);
+        t.epsilon()
+    };
+    assert_eq!(epsilon(Arm::Safe, 0), 1.0);
+    assert_eq!(epsilon(Arm::Safe, 60), 1.0);
+    assert!((epsilon(Arm::Safe, 160) - 0.525).abs() < 1e-6);
+    assert_eq!(epsilon(Arm::Safe, 260), 0.05);
+    assert_eq!(epsilon(Arm::Safe, 299), 0.05);
+    assert_eq!(epsilon(Arm::Mc, 0), 1.0);
+    t.config.epsilon_restart = false;
+    (t.arm, t.step) = (Arm::Mc, 0);
+    assert_eq!(t.epsilon(), 0.05);
+}
+
+#[test]
+fn evaluations_are_evenly_spread_and_touch_nothing_live() {
+    let all = events(trainer(&config("")), u32::MAX, |_| {});
+    let points = |arm| -> Vec<u32> {
+        let of = |event: &Event| if let Event::Evaluation(e) = event { (e.arm == arm).then_some(e.step) } else { None };
+        all.iter().filter_map(of).collect()
+    };
+    assert_eq!(points(Arm::Safe), [0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300]);
+    assert_eq!(points(Arm::Mc), [0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80]);
+    let steps = |events: &[Event]| -> Vec<Event> {
+        events.iter().filter(|event| matches!(event, Event::Step(_))).cloned().collect()
+    };
+    let fewer = events(trainer(&config("evaluations=2")), u32::MAX, |_| {});
+    assert_eq!(steps(&all), steps(&fewer));
+}
+
+#[test]
+fn safe_training_updates_after_exploration_and_full_from_its_first_step() {
+    let all = events(trainer(&config("agent=baseline")), u32::MAX, |_| {});
+    let updates: Vec<u64> =
+        all.iter().filter_map(|event| if let Event::End(end) = event { Some(end.updates) } else { None }).collect();
+    assert_eq!(updates, [300 - 60, 300 - 60 + 80]);
+}
+
+#[test]
+fn the_release_preset_runs() {
+    let mut release: Config = "env=box-moving preset=release".parse().unwrap();
+    for (key, value) in [("safe_steps", "300"), ("full_steps", "80"), ("forecast", "20"), ("exploration", "60")] {
+        release.set(key, value).unwrap();
+    }
+    let all = events(trainer(&release), u32::MAX, |_| {});
+    let checks = checks(&all);
+    assert!(!checks.is_empty());
+    // Refusals still update: one update per step that finds a full mini-batch.
+    let Some(Event::End(end)) = all.last() else { panic!("a finished run") };
+    assert_eq!(end.updates, 300 - 60 + 80);
+}
+
+#[test]
+fn divergence_is_an_error_and_not_a_result() {
+    let config = config("lr=1e30 agent=baseline");
+    let mut t = trainer(&config);
+    let error = loop {
+        match t.poll(&mut CpuForecaster::default(), Budget(100), &mut ()) {
+            Ok(status) => assert_ne!(status, Status::Done, "a learning rate of 1e30 diverges"),
+            Err(error) => break error,
+        }
+    };
+    assert!(error.to_string().contains("lower the learning rates"), "{error}");
+}
+
+#[test]
+fn a_run_resumes_to_the_last_bit_wherever_it_stood() {
+    let config = config("scheme=all full_steps=20");
+    let mut straight = Vec::new();
+    let mut run = Run::new(&config);
+    while run.poll(Budget(1000), &mut |event: &Event| straight.push(event.clone())).unwrap() != Status::Done {}
+    let mut rng = Rng::new(1);
+    for _ in 0..20 {
+        let mut resumed = Vec::new();
+        let mut run = Run::new(&config);
+        loop {
+            // Twenty interruptions, at polls of random length.
+            let budget = Budget(1 + rng.below(400));
+            let status = run.poll(budget, &mut |event: &Event| resumed.push(event.clone())).unwrap();
+            run = Run::resume(&run.snapshot()).unwrap();
+            if status == Status::Done {
+                break;
+            }
+        }
+        assert_eq!(resumed, straight);
+    }
+}
+
+#[test]
+fn bytes_that_are_no_snapshot_are_answered() {
+    let mut run = Run::new(&config(""));
+    run.poll(Budget(500), &mut ()).unwrap();
+    let good = run.snapshot();
+    let answer = |bytes: &[u8]| -> String { Run::resume(bytes).err().map_or_else(String::new, |e| e.to_string()) };
+    assert_eq!(answer(&good), "");
+    assert_eq!(answer(b""), "not a snapshot of a run");
+    assert_eq!(answer(b"{\"json\": true}"), "not a snapshot of a run");
+    assert!(answer(&good[..20]).contains("cut off"));
+    assert!(answer(&good[..good.len() - 1]).contains("cut off"));
+    assert!(answer(&[&good[..], b"x"].concat()).contains("1 bytes too many"));
+    for at in [30, 100, good.len() / 2, good.len() - 1] {
+        let mut altered = good.clone();
+        altered[at] ^= 1;
+        assert!(answer(&altered).contains("altered"), "byte {at}");
+    }
+    let mut newer = good.clone();
+    newer[8] = 9;
+    assert!(answer(&newer).contains("format version 9, this program reads version 1"));
+}
+
+#[test]
+fn the_reward_model_and_value_that_rate_are_the_current_ones() {
+    // Rating needs no forecast network but the policy: a judge of zeros rates everything zero.
+    let t = trained();
+    let zero = |network: &mut crate::nn::mlp::Mlp| network.params_mut().fill(0.0);
+    let (mut value, mut reward) = (t.agent.clone(), t.reward_model.clone());
+    zero(value.online_mut());
+    zero(reward.network_mut());
+    let judge = Judge { value: &value, reward: &reward, config: &t.config };
+    let rated = rate(&t.agent, &judge, alloc::vec![Start::reset(&t.full, Rng::new(0))]);
+    assert_eq!(rated[0].utility, 0.0);
+    assert!(rated[0].film.is_some());
+    let judge = Judge { value: &t.agent, reward: &t.reward_model, config: &t.config };
+    let rated = rate(&t.agent, &judge, alloc::vec![Start::reset(&t.full, Rng::new(0))]);
+    assert_ne!(rated[0].utility, 0.0);
+    assert_eq!(t.world.spec().observation, ObservationSpec { width: 11, binary: true });
+}
