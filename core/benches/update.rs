@@ -4,7 +4,7 @@
 //! definition; work that one-hot inputs and repeated states save shows as a share above what the
 //! arithmetic alone would reach.
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{Criterion, Throughput, criterion_group};
 use mcvl_core::agent::Agent;
 use mcvl_core::agent::ddqn::{Ddqn, DdqnConfig};
 use mcvl_core::agent::reward_model::RewardModel;
@@ -67,35 +67,52 @@ fn peak() -> f64 {
     20_000.0 * PROBE_LANES as f64 / best
 }
 
+/// The measured updates: name, one-hot or dense input, cells of ten codes, distinct states.
+const CASES: [(&str, bool, usize, usize); 5] = [
+    ("100-dense", false, 10, 1000),
+    ("100-onehot", true, 10, 1000),
+    ("100-onehot-22-states", true, 10, 22),
+    ("290-onehot", true, 29, 1000),
+    ("290-onehot-22-states", true, 29, 22),
+];
+
+/// One update of a case, mini-batch included.
+fn update((_, binary, cells, states): (&str, bool, usize, usize)) -> impl FnMut() {
+    let replay = replay(binary, cells, states);
+    let config = DdqnConfig { hidden: 128, layers: 2, gamma: 0.95, tau: 0.005, adam: adam(1e-4) };
+    let mut agent = Ddqn::new(replay.spec(), &ACTIONS, &config, &mut Rng::new(2));
+    let (mut batch, mut slots, mut rng) = (Minibatch::default(), Vec::new(), Rng::new(3));
+    let none = Forced::new(&[], &replay);
+    move || {
+        draw_slots(replay.len(), BATCH, &mut rng, &mut slots);
+        batch.gather(&replay, &slots, &none);
+        black_box(agent.update(&batch, &mut Rng::new(0)));
+    }
+}
+
+/// Seconds per update: median over batches of 200.
+fn seconds(mut update: impl FnMut()) -> f64 {
+    let mut times: Vec<f64> = (0..21)
+        .map(|_| {
+            let start = Instant::now();
+            (0..200).for_each(|_| update());
+            start.elapsed().as_secs_f64() / 200.0
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[10]
+}
+
 fn updates(c: &mut Criterion) {
     let peak = peak();
     println!("vector unit {}: {:.1} G multiply-adds/s at most, not fused", Isa::active().name(), peak / 1e9);
     let mut group = c.benchmark_group("ddqn-update");
-    for (name, binary, cells, states) in [
-        ("100-dense", false, 10, 1000),
-        ("100-onehot", true, 10, 1000),
-        ("100-onehot-22-states", true, 10, 22),
-        ("290-onehot", true, 29, 1000),
-        ("290-onehot-22-states", true, 29, 22),
-    ] {
-        let replay = replay(binary, cells, states);
-        let config = DdqnConfig { hidden: 128, layers: 2, gamma: 0.95, tau: 0.005, adam: adam(1e-4) };
-        let mut agent = Ddqn::new(replay.spec(), &ACTIONS, &config, &mut Rng::new(2));
-        let (mut batch, mut slots, mut rng) = (Minibatch::default(), Vec::new(), Rng::new(3));
-        let none = Forced::new(&[], &replay);
-        let mut update = || {
-            draw_slots(replay.len(), BATCH, &mut rng, &mut slots);
-            batch.gather(&replay, &slots, &none);
-            black_box(agent.update(&batch, &mut Rng::new(0)));
-        };
-        let work = multiply_adds(10 * cells, 128, 4);
-        let rounds = 2000;
-        let start = Instant::now();
-        (0..rounds).for_each(|_| update());
-        let rate = f64::from(rounds) * work as f64 / start.elapsed().as_secs_f64();
-        println!("{name}: {work} multiply-adds by definition, {:.0} % of the peak", 100.0 * rate / peak);
+    for case in CASES {
+        let work = multiply_adds(10 * case.2, 128, 4);
+        let rate = work as f64 / seconds(update(case));
+        println!("{}: {work} multiply-adds by definition, {:.0} % of the peak", case.0, 100.0 * rate / peak);
         group.throughput(Throughput::Elements(work as u64));
-        group.bench_function(name, |b| b.iter(&mut update));
+        group.bench_function(case.0, |b| b.iter(update(case)));
     }
     group.finish();
 }
@@ -133,4 +150,15 @@ fn box_moving(c: &mut Criterion) {
 }
 
 criterion_group!(benches, updates, reward_model, box_moving);
-criterion_main!(benches);
+
+/// `--time` prints seconds per update of every case and the peak as lines for scripts; otherwise the
+/// benchmarks.
+fn main() {
+    if std::env::args().any(|arg| arg == "--time") {
+        println!("peak {:e}", peak());
+        CASES.into_iter().for_each(|case| println!("{} {:e}", case.0, seconds(update(case))));
+        return;
+    }
+    benches();
+    Criterion::default().configure_from_args().final_summary();
+}

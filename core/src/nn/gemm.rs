@@ -46,6 +46,8 @@ fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out:
         None => [0.0; COLS],
     };
     let mut sums = [start; ROWS];
+    // An index over several rows at once; iterators over each would be checked one by one.
+    #[allow(clippy::needless_range_loop)]
     for kk in 0..k {
         let line: &[f32; COLS] = b.data[kk * b.cols + j..kk * b.cols + j + COLS].try_into().expect("a full tile");
         for r in 0..ROWS {
