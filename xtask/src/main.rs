@@ -1,2 +1,71 @@
-//! Automation.
-fn main() {}
+//! Automation of the repository: `cargo xtask setup|demo|web|serve|test|bench`.
+
+mod demo;
+mod process;
+mod serve;
+mod setup;
+mod test;
+mod web;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use setup::Purpose;
+
+/// Automation of the repository.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Install what building and testing need; says what before it does, skips what is there
+    Setup,
+    /// Everything, end to end: build, train the main experiment, write its report, serve the page
+    Demo {
+        /// End after the report instead of serving the page
+        #[arg(long)]
+        no_serve: bool,
+        /// Seeds to train, as in `mcvl train --seeds`
+        #[arg(long, default_value = "0..10")]
+        seeds: String,
+    },
+    /// Build the page's WebAssembly modules into www/pkg and report their sizes
+    Web,
+    /// Serve a folder to this machine's browser
+    Serve {
+        /// Port on the loopback address; 0 takes a free one
+        #[arg(long, default_value_t = serve::PORT)]
+        port: u16,
+        /// Folder to serve [default: www]
+        #[arg(long)]
+        dir: Option<PathBuf>,
+    },
+    /// Set up, check and test everything: what continuous integration runs
+    Test,
+    /// Measure core's speed
+    Bench,
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Setup => setup::everything(),
+        Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
+        Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
+        Command::Serve { port, dir } => serve::serve(&dir.unwrap_or_else(|| process::root().join("www")), port),
+        Command::Test => test::test(),
+        Command::Bench => process::run(process::cargo().args(["bench", "--package", "mcvl-core"])),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

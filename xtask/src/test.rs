@@ -1,0 +1,82 @@
+//! Every check of the repository, stage by stage; what continuous integration runs.
+
+use std::fs;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+
+use crate::process::{cargo, exists, mcvl, root, run};
+use crate::setup::{BARE, Purpose};
+use crate::{setup, web};
+
+/// A stage: its name and what it does.
+type Stage = (&'static str, fn() -> Result<()>);
+
+const STAGES: &[Stage] = &[
+    ("setup", || setup::ensure(Purpose::Test)),
+    ("format", || run(cargo().args(["fmt", "--all", "--check"]))),
+    ("lint", || run(cargo().args(["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
+    ("core alone on a bare target", || run(cargo().args(["build", "--package", "mcvl-core", "--target", BARE]))),
+    ("web", web::build),
+    ("mcvl", || run(cargo().args(["build", "--package", "mcvl-native"]))),
+    ("tests", tests),
+    ("documentation tests", || run(with_program(cargo().args(["test", "--workspace", "--doc"])))),
+    ("examples", examples),
+];
+
+/// Runs the stages in order and ends with a summary; the first failure ends it.
+pub fn test() -> Result<()> {
+    let mut done: Vec<(&str, Duration)> = Vec::new();
+    for (name, stage) in STAGES {
+        eprintln!("\n== {name} ==");
+        let start = Instant::now();
+        let result = stage();
+        done.push((name, start.elapsed()));
+        eprintln!("-- {name}: {:.1} s", start.elapsed().as_secs_f64());
+        if let Err(error) = result {
+            summary(&done);
+            return Err(error.context(format!("stage `{name}` failed")));
+        }
+    }
+    summary(&done);
+    println!("every stage passed");
+    Ok(())
+}
+
+fn summary(done: &[(&str, Duration)]) {
+    println!("\n{:<30} {:>8}", "stage", "seconds");
+    for (name, duration) in done {
+        println!("{name:<30} {:>8.1}", duration.as_secs_f64());
+    }
+    let total: Duration = done.iter().map(|(_, duration)| duration).sum();
+    println!("{:<30} {:>8.1}", "total", total.as_secs_f64());
+}
+
+/// Unit and integration tests, with cargo-nextest where it is installed.
+fn tests() -> Result<()> {
+    if exists(&["cargo-nextest"]) {
+        return run(with_program(cargo().args(["nextest", "run", "--workspace"])));
+    }
+    eprintln!("cargo-nextest is not installed (`cargo xtask setup` does it): `cargo test` runs the same tests");
+    run(with_program(cargo().args(["test", "--workspace", "--lib", "--bins", "--tests"])))
+}
+
+/// Tells the tests which `mcvl` to run: the one that the stage before built.
+fn with_program(command: &mut Command) -> &mut Command {
+    command.env("MCVL_BIN", mcvl("debug"))
+}
+
+/// Runs every example of core: what documentation shows has to work.
+fn examples() -> Result<()> {
+    let Ok(folder) = fs::read_dir(root().join("core/examples")) else { return Ok(()) };
+    let mut names: Vec<String> = Vec::new();
+    for entry in folder {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "rs") {
+            names.extend(path.file_stem().map(|name| name.to_string_lossy().into_owned()));
+        }
+    }
+    names.sort();
+    names.iter().try_for_each(|name| run(cargo().args(["run", "--quiet", "--package", "mcvl-core", "--example", name])))
+}

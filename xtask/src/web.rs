@@ -1,0 +1,108 @@
+//! Builds the page's modules: one source, compiled without and with SIMD, each with its glue.
+
+use std::env;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+use crate::process;
+use crate::setup::WASM;
+
+/// The two modules: name and compiler flags. Relaxed SIMD is never on: its results differ between machines.
+const MODULES: &[(&str, &[&str])] = &[("scalar", &[]), ("simd", &["-Ctarget-feature=+simd128"])];
+
+/// Largest module over the wire, bytes of gzip.
+const MODULE_BUDGET: u64 = 250_000;
+/// Largest sum of everything else that the page loads, bytes of gzip.
+const PAGE_BUDGET: u64 = 60_000;
+
+/// Builds both modules into `www/pkg` and compares their sizes with the page's budgets.
+pub fn build() -> Result<()> {
+    let glue = build_glue()?;
+    let folder = process::root().join("www/pkg");
+    for (name, flags) in MODULES {
+        let module = compile(name, flags)?;
+        process::run(process::command(&glue).arg(module).arg(&folder).arg(name))?;
+    }
+    report(&process::root().join("www"))
+}
+
+/// Compiles the program that makes the glue.
+fn build_glue() -> Result<PathBuf> {
+    process::run(process::cargo().args(["build", "--quiet", "--package", "xtask-glue"]))?;
+    Ok(process::target().join("debug").join(format!("xtask-glue{}", env::consts::EXE_SUFFIX)))
+}
+
+/// Compiles one module, in a folder of its own: the flags are part of what it is.
+fn compile(name: &str, flags: &[&str]) -> Result<PathBuf> {
+    let target = process::target().join("web").join(name);
+    let mut flags: Vec<String> = flags.iter().map(ToString::to_string).collect();
+    // Panic messages name source files: the same ones wherever it was built.
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")));
+    for (folder, alias) in [(home, "cargo"), (Some(process::root()), "mcvl")] {
+        flags.extend(folder.map(|folder| format!("--remap-path-prefix={}={alias}", folder.display())));
+    }
+    let mut cargo = process::cargo();
+    cargo.args(["build", "--package", "mcvl-web", "--profile", "web", "--target", WASM]);
+    process::run(cargo.env("CARGO_TARGET_DIR", &target).env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}")))?;
+    Ok(target.join(WASM).join("web").join("mcvl_web.wasm"))
+}
+
+/// Prints the size of every file of the page and fails where a budget is exceeded.
+fn report(www: &Path) -> Result<()> {
+    println!("{:<28} {:>9} {:>9}", "file", "bytes", "gzip");
+    let (mut page, mut excess) = (0, Vec::new());
+    for file in files(www)? {
+        let shown = file.strip_prefix(www).unwrap_or(&file).display().to_string();
+        let (plain, packed) = (fs::metadata(&file)?.len(), gzip_size(&file)?);
+        println!("{shown:<28} {plain:>9} {packed:>9}");
+        if file.extension().is_some_and(|extension| extension == "wasm") {
+            if packed > MODULE_BUDGET {
+                excess.push(format!("{shown} has {packed} bytes, its budget is {MODULE_BUDGET}"));
+            }
+        } else {
+            page += packed;
+        }
+    }
+    println!("modules: up to {MODULE_BUDGET} each; everything else: {page} of {PAGE_BUDGET} (gzip)");
+    if page > PAGE_BUDGET {
+        excess.push(format!("everything but the modules has {page} bytes, its budget is {PAGE_BUDGET}"));
+    }
+    if excess.is_empty() { Ok(()) } else { bail!("the page is too large over the wire: {}", excess.join("; ")) }
+}
+
+/// Every file below a folder, sorted.
+fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).with_context(|| format!("{} cannot be read", folder.display()))? {
+        let path = entry?.path();
+        if path.is_dir() { found.extend(files(&path)?) } else { found.push(path) }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Size of a file as a server sends it.
+fn gzip_size(file: &Path) -> Result<u64> {
+    let mut encoder = GzEncoder::new(Count(0), Compression::best());
+    io::copy(&mut File::open(file)?, &mut encoder)?;
+    Ok(encoder.finish()?.0)
+}
+
+/// Counts what is written to it.
+struct Count(u64);
+
+impl io::Write for Count {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
