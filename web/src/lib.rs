@@ -1,1 +1,144 @@
-//! The web handle.
+//! The handle through which the page holds a run: text in, text out, nothing decided here.
+//!
+//! Structured values cross as JSON: one string per call is cheaper than an object per event, and the
+//! page reads exactly what the native program writes to its logs.
+#![forbid(unsafe_code)]
+
+use mcvl_core::config::{Config, ConfigError, Learner};
+use mcvl_core::env::ActionSpec;
+use mcvl_core::exact;
+use mcvl_core::record::Event;
+use mcvl_core::run::{Budget, Run, Status};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+use wasm_bindgen::prelude::*;
+
+#[wasm_bindgen]
+extern "C" {
+    #[wasm_bindgen(js_namespace = console, js_name = error)]
+    fn console_error(text: &str);
+}
+
+/// Shows the message of a panic in the console: the trap that follows it has none.
+#[wasm_bindgen(start)]
+pub fn show_panics() {
+    std::panic::set_hook(Box::new(|panic| console_error(&panic.to_string())));
+}
+
+/// Digest of every stage of core's arithmetic, as a JSON object of hexadecimal numbers.
+#[wasm_bindgen]
+pub fn digests() -> String {
+    let digests = exact::digests().into_iter();
+    let map: Map<String, Value> =
+        digests.map(|(stage, digest)| (stage.into(), format!("{digest:016x}").into())).collect();
+    text(&map)
+}
+
+/// A run and the events that the page has not read yet.
+#[wasm_bindgen(js_name = Run)]
+pub struct Handle {
+    run: Run,
+    events: Vec<Event>,
+}
+
+#[wasm_bindgen(js_class = Run)]
+impl Handle {
+    /// A run from its configuration text, for example `env=box-moving seed=7`.
+    ///
+    /// # Errors
+    /// If the text is no configuration; the message says what would be.
+    #[wasm_bindgen(constructor)]
+    pub fn new(configuration: &str) -> Result<Handle, JsError> {
+        let config: Config = configuration.parse()?;
+        Ok(Self { run: Run::new(&config), events: Vec::new() })
+    }
+
+    /// Does a bounded amount of work and returns `working`, `switch` or `done`.
+    ///
+    /// # Errors
+    /// If training diverged: the run is then of no further use.
+    pub fn poll(&mut self, budget: u32) -> Result<String, JsError> {
+        let events = &mut self.events;
+        self.run.poll(Budget(budget), &mut |event: &Event| events.push(event.clone()))?;
+        Ok(self.status())
+    }
+
+    /// Where the run stands: `working`, `switch` or `done`.
+    pub fn status(&self) -> String {
+        let name = match self.run.status() {
+            Status::Working => "working",
+            Status::Switch => "switch",
+            Status::Done => "done",
+        };
+        name.into()
+    }
+
+    /// The events since the last call, oldest first, as a JSON array.
+    pub fn events(&mut self) -> String {
+        text(&core::mem::take(&mut self.events))
+    }
+
+    /// Figures for progress displays, as a JSON object.
+    pub fn progress(&self) -> String {
+        let progress = self.run.progress();
+        text(&json!({
+            "arm": progress.arm,
+            "step": progress.step,
+            "steps": progress.steps,
+            "updates": progress.updates,
+            "checks": progress.checks,
+            "refusals": progress.refusals,
+            "forecast_updates": progress.forecast_updates,
+            "check": progress.check,
+        }))
+    }
+
+    /// The situation of the live world: `seen`, and `truth` where it differs, rows separated by line feeds.
+    pub fn frame(&self) -> String {
+        text(&self.run.frame())
+    }
+
+    /// Facts of the world that a drawing needs: names of actions, legend, reward scale, as a JSON object.
+    pub fn world(&self) -> String {
+        let spec = self.run.spec();
+        let ActionSpec::Discrete(actions) = spec.actions;
+        let legend: Map<String, Value> =
+            spec.legend.iter().map(|(character, meaning)| (character.to_string(), (*meaning).into())).collect();
+        text(&json!({
+            "name": spec.name,
+            "actions": actions,
+            "legend": legend,
+            "reward_scale": spec.reward_scale,
+            "max_steps": spec.max_steps,
+        }))
+    }
+
+    /// The canonical text of the run: the same text gives the same run here and natively.
+    pub fn configuration(&self) -> String {
+        self.run.config().to_string()
+    }
+
+    /// A copy that continues from the switch with another learner, `mc` or `baseline`. Both share the
+    /// Safe training that is already done.
+    ///
+    /// # Errors
+    /// If there is no such learner, or the run is past the switch.
+    pub fn fork(&self, agent: &str) -> Result<Handle, JsError> {
+        let run = self.run.fork(learner(agent)?).ok_or_else(|| {
+            JsError::new("fork: the run is past the switch to the Full world; fork it while its status is `switch`")
+        })?;
+        Ok(Self { run, events: Vec::new() })
+    }
+}
+
+/// The learner of this name, by the rules of the configuration text.
+fn learner(name: &str) -> Result<Learner, ConfigError> {
+    let mut config: Config = "env=box-moving".parse()?;
+    config.set("agent", name)?;
+    Ok(config.agent)
+}
+
+/// A value as JSON text.
+fn text(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("records have text keys and no other way to fail")
+}
