@@ -1,1 +1,78 @@
-//! Harness of the tests that need more than one room.
+//! Harness of the tests that need more than one room: where things lie, the `mcvl` program, Node,
+//! recorded episodes.
+#![forbid(unsafe_code)]
+
+pub mod golden;
+pub mod source;
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use anyhow::{Context, Result, bail};
+use tempfile::TempDir;
+
+/// The root of the repository.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the package lies in the repository")
+}
+
+/// Recorded data of the tests.
+pub fn data() -> PathBuf {
+    root().join("tests/data")
+}
+
+/// A folder that disappears at the end of the test.
+///
+/// # Panics
+/// If the machine's temporary folder cannot be written to.
+pub fn scratch() -> TempDir {
+    tempfile::Builder::new().prefix("mcvl-").tempdir().expect("the temporary folder can be written to")
+}
+
+/// The `mcvl` program: the one that `MCVL_BIN` names, else built here, once per test process.
+///
+/// # Panics
+/// If it is not there and cannot be built.
+pub fn mcvl() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| match env::var_os("MCVL_BIN") {
+        Some(path) => {
+            let path = PathBuf::from(path);
+            assert!(path.is_file(), "MCVL_BIN names {}, which is no file: `cargo build` makes it", path.display());
+            path
+        }
+        None => build_mcvl().expect("mcvl can be built"),
+    })
+}
+
+fn build_mcvl() -> Result<PathBuf> {
+    let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo.args(["build", "--package", "mcvl-native", "--message-format=json-render-diagnostics"]).current_dir(root());
+    let messages = run(&mut cargo)?;
+    let built = messages.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    let program = built.filter_map(|message| message["executable"].as_str().map(PathBuf::from)).next_back();
+    program.context("cargo named no program")
+}
+
+/// Runs a JavaScript module of `tests/node` and returns what it prints.
+///
+/// # Errors
+/// If Node is not installed or the script fails.
+pub fn node(script: &str, arguments: &[&str]) -> Result<String> {
+    let path = root().join("tests/node").join(script);
+    run(Command::new("node").arg(path).args(arguments)).context("Node is needed: `cargo xtask setup` installs it")
+}
+
+/// Runs a command and returns what it prints.
+///
+/// # Errors
+/// If it cannot be started or fails; the message has what it said.
+pub fn run(command: &mut Command) -> Result<String> {
+    let Output { status, stdout, stderr } = command.output().with_context(|| format!("{command:?}"))?;
+    if !status.success() {
+        bail!("{command:?} ended with {status}:\n{}", String::from_utf8_lossy(&stderr));
+    }
+    Ok(String::from_utf8(stdout)?)
+}

@@ -1,0 +1,102 @@
+//! Episodes that were recorded in the reference implementation (see `tests/data/README.md`).
+
+use std::env;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use flate2::read::GzDecoder;
+use serde::Deserialize;
+
+use crate::data;
+
+/// One recorded episode of Box Moving.
+#[derive(Debug, Deserialize)]
+pub struct Episode {
+    /// Variant, in the recording's spelling.
+    pub variant: String,
+    /// Name of the episode.
+    pub episode: String,
+    /// Factor from raw to scaled reward.
+    pub scale: f64,
+    /// Length of the observation.
+    pub obs_len: usize,
+    /// After reset.
+    pub initial: Situation,
+    /// Steps, in order.
+    pub steps: Vec<Step>,
+    /// How it ended: `terminated` or `truncated`.
+    pub ended: String,
+    /// Sum of raw rewards.
+    pub return_raw: f64,
+    /// Sum of hidden rewards.
+    pub hidden_return: f64,
+}
+
+/// What can be seen of the world at one time.
+#[derive(Debug, Deserialize)]
+pub struct Situation {
+    /// Positions of the ones of the observation.
+    pub ones: Vec<usize>,
+    /// Cell of the box, from the top.
+    #[serde(rename = "box")]
+    pub box_cell: u8,
+    /// Cell of the agent, from the top.
+    pub agent: u8,
+}
+
+/// One recorded step.
+#[derive(Debug, Deserialize)]
+pub struct Step {
+    /// Action.
+    pub a: u8,
+    /// Observed reward.
+    pub r_raw: f64,
+    /// Observed reward, scaled.
+    pub r: f64,
+    /// Hidden reward.
+    pub hidden: f64,
+    /// The world reached a terminal state.
+    pub term: bool,
+    /// The step limit was reached.
+    pub trunc: bool,
+    /// The world after the step.
+    #[serde(flatten)]
+    pub after: Situation,
+}
+
+/// What every line says about itself.
+#[derive(Deserialize)]
+struct Label {
+    #[serde(rename = "type")]
+    kind: String,
+    env: Option<String>,
+}
+
+/// The folder of the recordings.
+fn folder() -> PathBuf {
+    env::var_os("MCVL_GOLDEN_DIR").map_or_else(data, PathBuf::from)
+}
+
+/// Every recorded episode of Box Moving.
+///
+/// # Errors
+/// If the file is not there, cannot be understood, or has no such episode.
+pub fn box_moving() -> Result<Vec<Episode>> {
+    let path = folder().join("gridworld_golden.jsonl.gz");
+    let file = File::open(&path).with_context(|| format!("{}: recorded episodes", path.display()))?;
+    let mut episodes = Vec::new();
+    for (line, number) in BufReader::new(GzDecoder::new(file)).lines().zip(1..) {
+        let line = line.with_context(|| format!("{}: not gzip", path.display()))?;
+        let wrong = || format!("{}: line {number} is no recorded episode", path.display());
+        let label: Label = serde_json::from_str(&line).with_context(wrong)?;
+        if label.kind == "episode" && label.env.as_deref() == Some("box_moving") {
+            episodes.push(serde_json::from_str(&line).with_context(wrong)?);
+        }
+    }
+    if episodes.is_empty() {
+        bail!("{}: no episode of Box Moving", path.display());
+    }
+    Ok(episodes)
+}
