@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use mcvl::report::film;
-use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, Token};
+use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, State, Token};
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::record::{CheckRecord, Verdict};
@@ -268,7 +268,7 @@ pub fn verify(arguments: &VerifyArgs, terminal: &mut Terminal) -> anyhow::Result
         let value = json!({
             "files": seen.files,
             "links": seen.links,
-            "unfinished": seen.unfinished,
+            "state": seen.state,
             "unknown": seen.unknown,
             "findings": findings,
         });
@@ -283,7 +283,7 @@ pub fn verify(arguments: &VerifyArgs, terminal: &mut Terminal) -> anyhow::Result
         let checked = format!("{} files and {} links of the ledger", seen.files, seen.links);
         if !seen.findings.is_empty() {
             writeln!(terminal.out, "{path} is not as it was written (checked {checked})")?;
-        } else if seen.unfinished > 0 {
+        } else if seen.state != State::Finished {
             writeln!(terminal.out, "{path} is unfinished and intact so far: {checked}")?;
         } else {
             writeln!(terminal.out, "{path} is intact: {checked}")?;

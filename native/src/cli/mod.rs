@@ -17,7 +17,7 @@ use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mcvl::runs::RunsError;
 use mcvl_core::config::{ConfigError, Learner, Preset};
 
-use terminal::{Color, Terminal};
+use terminal::{Color, Terminal, say};
 
 /// Width of all help and tables.
 const WIDTH: usize = 80;
@@ -141,7 +141,7 @@ pub fn main() -> ExitCode {
         // Whoever read stdout has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            let _ = writeln!(io::stderr(), "error: {error:#}");
+            say(format_args!("error: {error:#}"));
             ExitCode::from(code(&error))
         }
     }

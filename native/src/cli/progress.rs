@@ -10,7 +10,7 @@ use mcvl::runs::{Plan, SeedView};
 use mcvl_core::config::{Learner, Scheme};
 use mcvl_core::record::Arm;
 
-use super::terminal::Terminal;
+use super::terminal::{Terminal, say};
 
 /// How progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -90,7 +90,7 @@ impl<'a> Progress<'a> {
             Display::Plain { next } => {
                 if Instant::now() >= *next {
                     *next = Instant::now() + NEXT_LINE;
-                    eprintln!("{}", plain(self.plan, views, done / total, &eta));
+                    say(plain(self.plan, views, done / total, &eta));
                 }
             }
             Display::Bars { multi, total: bar_of_all, seeds } => {
@@ -117,8 +117,8 @@ impl<'a> Progress<'a> {
             for check in &view.decisions {
                 let line = format!("seed {} #{} {}", view.seed, check.number, check.sentence());
                 match &self.display {
-                    Display::Bars { multi, .. } => multi.suspend(|| eprintln!("{line}")),
-                    _ => eprintln!("{line}"),
+                    Display::Bars { multi, .. } => multi.suspend(|| say(line)),
+                    _ => say(line),
                 }
             }
         }

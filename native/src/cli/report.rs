@@ -119,7 +119,13 @@ pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result
     let film = |seed: &SeedRun, number: u32| {
         let dir = seed.dir();
         let tape = dir.tape(number).exists().then(|| tape(&dir, number))?;
-        tape.map_err(|error| drop(damaged.borrow_mut().get_or_insert(error))).ok()
+        match tape {
+            Ok(check) => Some(check),
+            Err(error) => {
+                damaged.borrow_mut().get_or_insert(error);
+                None
+            }
+        }
     };
     let page = html::html(&sets, &film);
     if let Some(error) = damaged.into_inner() {

@@ -44,8 +44,7 @@ impl Terminal {
     /// A message for people, on stderr.
     pub fn note(&self, message: impl Display) {
         if !self.quiet {
-            // A closed stderr must not stop a training run.
-            let _ = writeln!(io::stderr(), "{message}");
+            say(message);
         }
     }
 
@@ -53,6 +52,11 @@ impl Terminal {
     pub fn paint(&self, code: u8, text: impl Display) -> String {
         if self.color { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() }
     }
+}
+
+/// A line on stderr. A stderr that is closed must not stop a training run.
+pub fn say(message: impl Display) {
+    let _ = writeln!(io::stderr(), "{message}");
 }
 
 /// Words of `text` in lines of at most `width` characters, each after `indent` spaces.

@@ -15,11 +15,11 @@ use mcvl::runs::{
 };
 use mcvl_core::config::{Learner, Preset};
 use mcvl_core::record::Verdict;
-use mcvl_core::run::{Budget, Run};
+use mcvl_core::run::{Budget, Run, Status};
 
 use super::progress::{Progress, Style};
 use super::settings::{self, Given, Request, Resolved};
-use super::terminal::Terminal;
+use super::terminal::{Terminal, say};
 use super::{Done, usage};
 
 /// Arguments of `mcvl train`.
@@ -118,7 +118,7 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
         if STOP.swap(true, Ordering::Relaxed) {
             process::exit(130);
         }
-        eprintln!("stopping: saving the state (once more to abort)");
+        say("stopping: saving the state (once more to abort)");
     };
     ctrlc::set_handler(stop)?;
     let session = if arguments.resume {
@@ -207,6 +207,9 @@ impl Session {
         let lock = Lock::take(&run)?;
         if overwrite {
             run.clear()?;
+        } else if !run.is_free()? {
+            // Another process came between the look and the lock.
+            usage!("{} was taken by another mcvl a moment ago: choose another directory with -o", run.path().display());
         }
         plan.write(&run)?;
         let mut manifest = Manifest::begin();
@@ -241,7 +244,7 @@ impl Session {
         }
         same_settings(&run, &plan, asked, resolved, arguments)?;
         let jobs = jobs(&run, &plan).map(Job::resume).collect::<Result<Vec<_>, _>>()?;
-        if jobs.iter().any(|job| !job.is_finished()) {
+        if manifest.state != State::Finished {
             manifest.write(&run, State::Running, &finished(&jobs))?;
         }
         Ok(Self { run, plan, manifest, jobs, _lock: lock })
@@ -249,7 +252,8 @@ impl Session {
 
     /// Trains to the end or until stopped, and leaves the directory in order.
     fn work(mut self, arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-        let nothing_to_do = self.jobs.iter().all(runs::ReadyJob::is_finished);
+        // A run that was killed after its last leg still lacks its results.
+        let nothing_to_do = self.manifest.state == State::Finished;
         let deadline = arguments.max_time.and_then(|time| Instant::now().checked_add(time));
         let control = Control::new(arguments.checkpoint_every, &STOP, deadline);
         let mut progress = Progress::new(&self.plan, arguments.progress, terminal);
@@ -410,6 +414,6 @@ fn speed(plan: &Plan) -> f64 {
     config.exploration = config.batch;
     let mut run = Run::new(&config);
     let begun = Instant::now();
-    while begun.elapsed() < Duration::from_millis(300) && run.poll(Budget(64), &mut ()).is_ok() {}
+    while begun.elapsed() < Duration::from_millis(300) && run.poll(Budget(64), &mut ()) == Ok(Status::Working) {}
     run.progress().updates.max(1) as f64 / begun.elapsed().as_secs_f64()
 }

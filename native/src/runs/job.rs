@@ -14,7 +14,7 @@ use super::{RunsError, SeedDir, read};
 
 /// Work per poll: short enough that a signal is answered in the blink of an eye, long enough that the
 /// rest costs nothing.
-const BUDGET: Budget = Budget(64);
+const BUDGET: Budget = Budget(16);
 
 /// One seed: what to do.
 #[derive(Clone, Debug)]

@@ -70,7 +70,9 @@ impl RunDir {
             return Ok(true);
         }
         let mut entries = fs::read_dir(&self.0).map_err(RunsError::io("read the folder", &self.0))?;
-        Ok(entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == ".lock")))
+        // A process that was killed before its first file leaves these.
+        let idle = |name: &str| name == ".lock" || is_temporary(name);
+        Ok(entries.all(|entry| entry.is_ok_and(|entry| idle(&entry.file_name().to_string_lossy()))))
     }
 
     /// The first of `DIR-2`, `DIR-3`, … that is free.
@@ -115,6 +117,11 @@ pub const TEMPORARY: &str = ".tmp";
 /// Whether a file is one that a killed process may have left half written.
 pub fn is_temporary(name: &str) -> bool {
     name.ends_with(TEMPORARY)
+}
+
+/// The folder in which a path lies: that of a bare name is the current one.
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn seed_of(name: &str) -> Option<u64> {
@@ -222,10 +229,9 @@ impl Place {
 
 /// «; there are a, b»: runs beside a path that does not exist.
 fn siblings(path: &Path) -> String {
-    let Ok(entries) = fs::read_dir(path.parent().unwrap_or(Path::new("."))) else {
-        return "; `mcvl train ENV` makes one".to_owned();
-    };
-    let mut names: Vec<String> = entries
+    let mut names: Vec<String> = fs::read_dir(folder_of(path))
+        .into_iter()
+        .flatten()
         .flatten()
         .filter(|entry| RunDir::new(entry.path()).exists())
         .map(|entry| path.with_file_name(entry.file_name()).display().to_string())

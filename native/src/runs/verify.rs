@@ -18,14 +18,14 @@ pub struct Finding {
 }
 
 /// What was looked at and found.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verification {
     /// Files whose digest was compared.
     pub files: usize,
     /// Links of ledgers that were followed.
     pub links: usize,
-    /// Seeds that are not finished: their logs were compared with their checkpoint.
-    pub unfinished: usize,
+    /// How the run stands. Seeds that are not finished were compared with their checkpoints.
+    pub state: State,
     /// What is wrong.
     pub findings: Vec<Finding>,
     /// Files that the manifest does not know: no harm, but nothing vouches for them.
@@ -45,7 +45,8 @@ impl Verification {
 /// If the manifest, or a file that is there, cannot be read.
 pub fn verify(run: &RunDir) -> Result<Verification, RunsError> {
     let manifest = Manifest::read(run)?;
-    let mut seen = Verification::default();
+    let mut seen =
+        Verification { files: 0, links: 0, state: manifest.state, findings: Vec::new(), unknown: Vec::new() };
     if !manifest.is_intact() {
         seen.find(run, &run.manifest(), "altered: its seal does not fit");
     }
@@ -111,7 +112,6 @@ fn chain(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
 
 /// Compares what an unfinished seed has with its checkpoint.
 fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
-    seen.unfinished += 1;
     chain(run, plan, dir, seen);
     if fs::exists(dir.state()).is_ok_and(|there| !there) {
         return;

@@ -12,7 +12,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::chain::{Chain, LedgerLine, hex, sha256, sha256_of};
 use super::checkpoint::{LogMarks, Mark};
-use super::layout::{SeedDir, TEMPORARY};
+use super::layout::{SeedDir, TEMPORARY, folder_of};
 use super::{RunDir, RunsError};
 
 /// Columns of `steps.csv`.
@@ -35,8 +35,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), RunsError> {
         let _ = fs::remove_file(&temporary);
     }
     written.map_err(RunsError::io("write", path))?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    sync_folder(folder.unwrap_or(Path::new(".")))
+    sync_folder(folder_of(path))
 }
 
 /// Makes renames and new names in a folder durable.
