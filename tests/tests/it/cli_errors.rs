@@ -1,0 +1,334 @@
+//! Every way to be wrong has its exit code, says what, where and what to do, and changes no file.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use mcvl_tests::{mcvl, scratch};
+
+use crate::cli::{Answer, ask, ask_all, assert_same, content, finished, ok, program};
+
+/// Runs `mcvl`, which has to fail with `code` and say all `parts` on stderr, and change nothing.
+#[track_caller]
+fn check(folder: &Path, arguments: &str, code: i32, parts: &[&str]) {
+    let before = content(folder);
+    let answer = ask(folder, arguments);
+    assert_eq!(answer.code, code, "mcvl {arguments}\n{}{}", answer.stdout, answer.stderr);
+    for part in parts {
+        assert!(answer.stderr.contains(part), "mcvl {arguments}: no `{part}` in\n{}", answer.stderr);
+    }
+    assert!(!answer.stderr.contains("panicked"), "{}", answer.stderr);
+    assert!(content(folder) == before, "mcvl {arguments} changed a file");
+}
+
+#[test]
+fn mistakes_in_settings() {
+    let folder = scratch();
+    let folder = folder.path();
+    fs::write(folder.join("typo.toml"), "treshold = 0.1\n").unwrap();
+    fs::write(folder.join("list.toml"), "threshold = [1]\n").unwrap();
+    fs::write(folder.join("broken.toml"), "threshold = \n").unwrap();
+    for (arguments, parts) in [
+        ("train box-movin", &["did you mean `box-moving`?"][..]),
+        ("train box-moving --scheme al", &["scheme: `al`", "did you mean `all`?"]),
+        ("train box-moving --variant ful", &["did you mean `full`?"]),
+        ("train box-moving --agent mcc", &["did you mean `mc`?"]),
+        ("train box-moving --preset papr", &["did you mean `paper`?"]),
+        ("train box-moving --set gama=1", &["unknown setting `gama`, did you mean `gamma`?"]),
+        ("train box-moving --set gamma=2", &["gamma: `2` is out of range (allowed: 0 to 1)"]),
+        ("train box-moving --set gamma=x", &["gamma: `x` is not a finite number"]),
+        ("train box-moving --set gamma", &["`gamma` is not of the form key=value"]),
+        ("train box-moving --set env=x", &["env: choose it first"]),
+        ("train box-moving --scheme all --set scheme=all", &["scheme: given twice"]),
+        ("train box-moving --seed 1 --seeds 0..2", &["cannot be used with"]),
+        ("train box-moving --seeds 3..3", &["is no list of seeds: write 0..10"]),
+        ("train box-moving --seed -1", &["-1"]),
+        ("train box-moving -j 0", &["0"]),
+        ("train box-moving --max-time soon", &["soon"]),
+        ("train box-moving --resume --fresh", &["cannot be used with"]),
+        ("train box-moving --config none.toml", &["--config none.toml: "]),
+        (
+            "train box-moving --config typo.toml",
+            &["unknown setting `treshold`, did you mean `threshold`?", "typo.toml"],
+        ),
+        ("train box-moving --config list.toml", &["threshold has to be one value"]),
+        ("train box-moving --config broken.toml", &["--config broken.toml: "]),
+        ("train", &["<ENV>"]),
+        ("trian box-moving", &["train"]),
+        ("completions tcsh", &["tcsh"]),
+    ] {
+        check(folder, arguments, 2, parts);
+    }
+    let mut command = program(folder);
+    let output = command.args(["train", "box-moving"]).env("MCVL_TRESHOLD", "0.1").output().unwrap();
+    let answer = Answer::from(output);
+    assert_eq!(answer.code, 2, "{}", answer.stderr);
+    assert!(answer.stderr.contains("did you mean `MCVL_THRESHOLD`?"), "{}", answer.stderr);
+    assert!(!folder.join("runs").exists());
+}
+
+#[test]
+fn mistakes_about_runs() {
+    let folder = finished();
+    let folder = folder.path();
+    fs::create_dir(folder.join("other")).unwrap();
+    fs::write(folder.join("other/file"), "mine").unwrap();
+    let token = ok(folder, "explain run#1").split_whitespace().find(|w| w.starts_with("mcvl1.")).unwrap().to_owned();
+    let cut = format!("replay {}", &token[..token.len() - 3]);
+    let altered = format!("replay {}", token.replacen("mcvl1.", "mcvl1.A", 1));
+    for (arguments, parts) in [
+        (
+            "train box-moving -o run",
+            &["run already holds a finished run: --resume continues it, --fresh starts run-2, --overwrite deletes it"]
+                [..],
+        ),
+        ("train box-moving -o other", &["other is not empty and holds no run", "-o"]),
+        ("train box-moving -o other --overwrite", &["other is not empty and holds no run"]),
+        ("train box-moving -o none --resume", &["there is no run in none to resume"]),
+        ("train box-moving -o run --resume --set gamma=0.5", &["gamma: run was begun with 0.95, not with 0.5"]),
+        ("train box-moving -o run --resume --seeds 0..9", &["seeds: run was begun with [0, 3]"]),
+        ("train box-moving -o run --resume --agent mc", &["agent: run was begun with baseline and mc, not with mc"]),
+        ("train box-moving -o run --resume --preset release", &["preset: run was begun with paper"]),
+        ("ledger runs/none", &["there is no run at runs/none", "mcvl train"]),
+        ("ledger rum", &["there is no run at rum; there are run"]),
+        ("ledger other", &["other is no run directory: it has no run.toml"]),
+        ("ledger run --seed 7", &["run has no seed 7: there are 0, 3"]),
+        ("explain run#99", &["run has no check 99: its checks are 1 to"]),
+        ("explain run/seed-9#1", &["seed 9"]),
+        ("explain run", &["`run` names no check", "runs/box-moving#17"]),
+        ("explain run#0", &["names no check"]),
+        ("explain none#1", &["there is no run at none"]),
+        ("replay run#99", &["run has no check 99"]),
+        ("replay hello", &["`hello` is no replay token: those begin with mcvl1."]),
+        (&cut, &["cut or altered", "mcvl explain"]),
+        (&altered, &["cut or altered", "mcvl explain"]),
+        ("verify none", &["there is no run at none"]),
+        ("compare none", &["there is no run at none"]),
+        ("compare run --assert mc.performence>1", &["did you mean `mc.performance`?"]),
+        ("report none", &["there is no run at none"]),
+    ] {
+        check(folder, arguments, 2, parts);
+    }
+}
+
+#[test]
+fn places_that_cannot_be_written() {
+    let folder = finished();
+    let folder = folder.path();
+    fs::write(folder.join("file"), "mine").unwrap();
+    // A path through a file, and a file system that takes no files: neither lets even root write.
+    for (arguments, part) in [
+        ("train box-moving --quick -o file/run", "file"),
+        ("train box-moving --quick -o file", "file"),
+        ("train box-moving --quick -o /proc/mcvl", "/proc/mcvl"),
+        ("report run -o file/report.html", "file/report.html"),
+        ("report run -o none/report.html", "none/report.html"),
+        ("explain run#1 --svg none/check.svg", "none/check.svg"),
+    ] {
+        check(folder, arguments, 3, &[part]);
+    }
+}
+
+/// A write that fails in the middle, as on a full disk: files may not grow beyond some length.
+#[test]
+fn a_full_disk_loses_nothing() {
+    let folder = finished();
+    let folder = folder.path();
+    // In blocks of 512 bytes: below one checkpoint, below the second one, below all of steps.csv.
+    for blocks in [10, 100, 600, 1200] {
+        let train = "train box-moving --quick --seeds 0,3 --checkpoint-every 20ms -o full";
+        // The signal of a file that is too long is ignored, so that writing fails instead.
+        let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec '{}' {train}", mcvl().display());
+        let limited = Command::new("sh").args(["-c", &script]).current_dir(folder).output().expect("sh is there");
+        let answer = Answer::from(limited);
+        assert_eq!(answer.code, 3, "{blocks}: {}", answer.stderr);
+        assert!(answer.stderr.contains("continue with `mcvl train box-moving -o full --resume`"), "{}", answer.stderr);
+        ok(folder, "train box-moving -o full --resume");
+        assert_same(&folder.join("full"), &folder.join("run"));
+        ok(folder, "verify full");
+        fs::remove_dir_all(folder.join("full")).unwrap();
+    }
+}
+
+/// What can happen to a file.
+enum Damage {
+    Cut(usize),
+    Flip(usize),
+    Set(usize, u8),
+    Write(&'static str),
+    Remove,
+}
+
+impl Damage {
+    fn apply(&self, path: &Path) {
+        let mut bytes = fs::read(path).unwrap();
+        match self {
+            Damage::Cut(from_end) => bytes.truncate(bytes.len() - from_end),
+            Damage::Flip(at) => bytes[*at] ^= 1,
+            Damage::Set(at, byte) => bytes[*at] = *byte,
+            Damage::Write(text) => bytes = text.as_bytes().to_vec(),
+            Damage::Remove => return fs::remove_file(path).unwrap(),
+        }
+        fs::write(path, bytes).unwrap();
+    }
+}
+
+#[test]
+fn verify_names_the_file_that_is_not_as_it_was() {
+    let folder = finished();
+    let folder = folder.path();
+    let said = |code: i32, name: &str, damage: &Damage| {
+        let path = folder.join("run").join(name);
+        let whole = fs::read(&path).unwrap();
+        damage.apply(&path);
+        let before = content(folder);
+        let answer = ask(folder, "verify run");
+        assert!(content(folder) == before, "verify changed a file");
+        fs::write(&path, whole).unwrap();
+        assert_eq!(answer.code, code, "{name}: {}{}", answer.stdout, answer.stderr);
+        answer.stdout + &answer.stderr
+    };
+    for (name, damage, what) in [
+        ("seed-0/metrics.jsonl", Damage::Cut(1), "cut off"),
+        ("seed-0/steps.csv", Damage::Flip(500), "altered"),
+        ("seed-3/ledger.jsonl", Damage::Cut(10), "cut off"),
+        ("seed-3/ledger.jsonl", Damage::Flip(60), "altered"),
+        ("seed-3/tapes/check-1.json", Damage::Flip(30), "altered"),
+        ("seed-0/checkpoints/state.snapshot", Damage::Flip(1000), "altered"),
+        ("seed-0/checkpoints/mc.safetensors", Damage::Remove, "missing"),
+        ("run.toml", Damage::Flip(3), "altered"),
+        ("run.toml", Damage::Remove, "missing"),
+        ("summary.json", Damage::Cut(3), "cut off"),
+        ("curves.png", Damage::Flip(100), "altered"),
+    ] {
+        let said = said(4, name, &damage);
+        assert!(said.contains(&format!("MISMATCH {name}: {what}")), "{name}: {said}");
+    }
+    // An altered value in a line breaks the chain there, whatever the manifest says.
+    let ledger = fs::read_to_string(folder.join("run/seed-0/ledger.jsonl")).unwrap();
+    let place = ledger.find("\"number\":2").unwrap() + "\"number\":".len();
+    let chain = said(4, "seed-0/ledger.jsonl", &Damage::Set(place, b'5'));
+    assert!(chain.contains("MISMATCH seed-0/ledger.jsonl: its chain breaks at line 2"), "{chain}");
+    // The manifest vouches for itself; one that cannot be read is a matter of the machine.
+    let manifest = fs::read_to_string(folder.join("run/manifest.json")).unwrap();
+    let place = manifest.find("\"version\": \"").unwrap() + "\"version\": \"".len();
+    assert!(said(4, "manifest.json", &Damage::Set(place, b'7')).contains("MISMATCH manifest.json: altered"));
+    assert!(said(3, "manifest.json", &Damage::Cut(20)).contains("manifest.json: is no manifest"));
+    assert!(said(3, "manifest.json", &Damage::Remove).contains("manifest.json"));
+    ok(folder, "verify run");
+    // Files that nobody vouches for are named, and are no mismatch.
+    fs::write(folder.join("run/seed-0/tapes/check-99.json"), "{}").unwrap();
+    assert!(ok(folder, "verify run").contains("unknown seed-0/tapes/check-99.json"));
+}
+
+#[test]
+fn damaged_runs_are_not_read_as_if_they_were_whole() {
+    let folder = finished();
+    let folder = folder.path();
+    for (name, damage, arguments) in [
+        ("run.toml", Damage::Cut(30), "ledger run"),
+        ("seed-0/metrics.jsonl", Damage::Write("{\"kind\":\"evaluation\"}\n"), "compare run"),
+        ("seed-0/ledger.jsonl", Damage::Write("{}\n"), "ledger run"),
+        ("seed-0/tapes/check-1.json", Damage::Cut(10), "explain run#1"),
+        ("seed-0/tapes/check-1.json", Damage::Remove, "explain run#1"),
+        ("seed-0/steps.csv", Damage::Flip(0), "replay run#1"),
+    ] {
+        let path = folder.join("run").join(name);
+        let whole = fs::read(&path).unwrap();
+        damage.apply(&path);
+        check(folder, arguments, 3, &[name]);
+        fs::write(&path, whole).unwrap();
+    }
+}
+
+/// A run that was stopped in the mc leg after its first checks.
+fn interrupted() -> tempfile::TempDir {
+    let folder = scratch();
+    let mut command = program(folder.path());
+    command.args("train box-moving -o run --checkpoint-every 10ms".split(' '));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let ledger = folder.path().join("run/seed-0/ledger.jsonl");
+    let begun = Instant::now();
+    while fs::metadata(&ledger).map_or(0, |data| data.len()) == 0 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no check after a minute");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let stopped = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(stopped.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    folder
+}
+
+#[test]
+fn a_damaged_run_is_not_continued() {
+    let folder = interrupted();
+    let folder = folder.path();
+    let resume = "train box-moving -o run --resume";
+    for (name, damage, part) in [
+        ("seed-0/metrics.jsonl", Damage::Cut(1), "is cut off"),
+        ("seed-0/metrics.jsonl", Damage::Flip(20), "was altered"),
+        ("seed-0/steps.csv", Damage::Cut(1000), "is cut off"),
+        ("seed-0/ledger.jsonl", Damage::Flip(40), "was altered"),
+        ("seed-0/ledger.jsonl", Damage::Remove, "cannot open"),
+        ("seed-0/tapes/check-1.json", Damage::Flip(40), "was altered"),
+        ("seed-0/tapes/check-1.json", Damage::Remove, "cannot read"),
+        ("seed-0/checkpoints/state.snapshot", Damage::Cut(1), "is cut off"),
+        ("seed-0/checkpoints/state.snapshot", Damage::Flip(3), "is no checkpoint of mcvl"),
+        ("seed-0/checkpoints/state.snapshot", Damage::Flip(5000), "was altered"),
+        // The format version follows the 16 bytes that say what the file is.
+        ("seed-0/checkpoints/state.snapshot", Damage::Set(16, 9), "has format version 9"),
+        ("run.toml", Damage::Flip(5), "was altered"),
+        ("run.toml", Damage::Cut(200), "run.toml"),
+        ("manifest.json", Damage::Cut(5), "is no manifest"),
+        ("manifest.json", Damage::Remove, "cannot read"),
+    ] {
+        let path = folder.join("run").join(name);
+        let whole = fs::read(&path).unwrap();
+        damage.apply(&path);
+        check(folder, resume, 3, &[name, part]);
+        fs::write(&path, whole).unwrap();
+    }
+    assert!(ok(folder, "verify run").contains("run is unfinished and intact so far"));
+    check(folder, "train box-moving -o run", 2, &["run already holds an unfinished run: --resume continues it"]);
+    ok(folder, resume);
+    ok(folder, "train box-moving -o straight");
+    assert_same(&folder.join("run"), &folder.join("straight"));
+}
+
+#[test]
+fn training_that_diverges_says_so() {
+    let folder = scratch();
+    let answer = ask(folder.path(), "train box-moving --quick --set lr=1e30 -o run");
+    assert_eq!(answer.code, 1, "{}", answer.stderr);
+    for part in ["seed 0: ", "is not a finite number at step", "lower the learning rates"] {
+        assert!(answer.stderr.contains(part), "{}", answer.stderr);
+    }
+    // What led there can be read.
+    let steps = fs::read_to_string(folder.path().join("run/seed-0/steps.csv")).unwrap();
+    assert!(steps.lines().count() > 1);
+    ok(folder.path(), "verify run");
+}
+
+#[test]
+fn one_process_at_a_time_writes_to_a_run() {
+    let folder = scratch();
+    let mut command = program(folder.path());
+    command.args("train box-moving --seeds 0..400 -o run".split(' '));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let begun = Instant::now();
+    while !folder.path().join("run/seed-0/steps.csv").exists() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "training does not begin");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let answers: Vec<Answer> = ["--resume", "--overwrite"]
+        .iter()
+        .map(|flag| ask_all(folder.path(), &["train", "box-moving", "-o", "run", flag]))
+        .collect();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for answer in answers {
+        assert_eq!(answer.code, 2, "{}", answer.stderr);
+        assert!(answer.stderr.contains("another mcvl is training in run"), "{}", answer.stderr);
+    }
+}

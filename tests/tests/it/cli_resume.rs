@@ -1,0 +1,130 @@
+//! Interrupted and resumed is the same as straight, byte for byte, however it was interrupted.
+
+use std::fs;
+use std::io::Read as _;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use mcvl_core::rng::Rng;
+use mcvl_tests::scratch;
+
+use crate::cli::{ask, assert_same, ok, program};
+
+const TRAIN: &str = "train box-moving --seeds 4,7 -j 2 -o run --checkpoint-every 10ms";
+const RESUME: &str = "train box-moving -o run -j 2 --checkpoint-every 10ms --resume";
+
+fn begin(folder: &Path, arguments: &str) -> Child {
+    let mut command = program(folder);
+    command.args(arguments.split(' ')).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().expect("mcvl starts")
+}
+
+fn signal(child: &Child, name: &str) {
+    let sent = Command::new("kill").args([name, &child.id().to_string()]).status().expect("kill is there");
+    assert!(sent.success());
+}
+
+/// Waits until a file exists and has some content.
+fn wait_for(path: &Path) {
+    let begun = Instant::now();
+    while fs::metadata(path).map_or(0, |data| data.len()) == 0 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "{} does not appear", path.display());
+        sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn stopped_by_a_signal_and_resumed_is_the_same_as_straight() {
+    let folder = scratch();
+    let folder = folder.path();
+    ok(folder, "train box-moving --seeds 4,7 -o straight");
+    let seed = folder.join("run/seed-4");
+    // In the Safe leg, in the baseline leg, in the mc leg.
+    let places = ["steps.csv", "checkpoints/safe.safetensors", "ledger.jsonl"];
+    for (index, (place, name)) in places.iter().zip(["-TERM", "-INT", "-TERM"]).enumerate() {
+        let mut child = begin(folder, if index == 0 { TRAIN } else { RESUME });
+        wait_for(&seed.join(place));
+        signal(&child, name);
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{place}");
+        assert!(ok(folder, "verify run").contains("unfinished and intact so far"));
+    }
+    ok(folder, RESUME);
+    assert_same(&folder.join("run"), &folder.join("straight"));
+    assert!(ok(folder, "verify run").contains("run is intact"));
+}
+
+#[test]
+fn twenty_kills_at_any_moment_cost_no_byte() {
+    const KILLS: u32 = 20;
+    let folder = scratch();
+    let folder = folder.path();
+    ok(folder, "train box-moving --seeds 4,7 -o straight");
+    let seed = std::process::id();
+    let mut rng = Rng::new(seed.into());
+    let mut kills = 0;
+    let mut wait = Duration::from_millis(u64::from(rng.below(300)));
+    let mut next = TRAIN;
+    while kills < KILLS {
+        let mut child = begin(folder, next);
+        sleep(wait);
+        if child.try_wait().unwrap().is_none() {
+            child.kill().unwrap();
+            kills += 1;
+        }
+        child.wait().unwrap();
+        wait = Duration::from_millis(u64::from(rng.below(300)));
+        // Before its first file a run cannot be resumed; after its last one there is nothing to kill.
+        next = match fs::read_to_string(folder.join("run/manifest.json")) {
+            Ok(manifest) if manifest.contains("\"finished\"") => {
+                assert_same(&folder.join("run"), &folder.join("straight"));
+                fs::remove_dir_all(folder.join("run")).unwrap();
+                TRAIN
+            }
+            _ if folder.join("run/run.toml").exists() => RESUME,
+            _ => TRAIN,
+        };
+    }
+    if next == RESUME {
+        ok(folder, RESUME);
+    } else {
+        ok(folder, TRAIN);
+    }
+    // The moments of the kills differ from run to run; this number brings the waits back.
+    println!("waits from seed {seed}");
+    assert_same(&folder.join("run"), &folder.join("straight"));
+    ok(folder, "verify run");
+}
+
+#[test]
+fn a_time_limit_saves_and_says_how_to_go_on() {
+    let folder = scratch();
+    let folder = folder.path();
+    let answer = ask(folder, "train box-moving --seeds 4,7 -o run --max-time 300ms");
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
+    assert!(answer.stderr.contains("continue with: mcvl train box-moving -o run --resume"), "{}", answer.stderr);
+    ok(folder, "train box-moving -o run --resume");
+    ok(folder, "train box-moving --seeds 4,7 -o straight");
+    assert_same(&folder.join("run"), &folder.join("straight"));
+}
+
+#[test]
+fn a_second_signal_aborts() {
+    let folder = scratch();
+    // Large networks: between two polls there is time for two signals.
+    let arguments = "train box-moving -o run --set hidden=2048 --set exploration=32 --progress none";
+    let mut command = program(folder.path());
+    let mut child = command.args(arguments.split(' ')).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for(&folder.path().join("run/manifest.json"));
+    sleep(Duration::from_millis(300));
+    signal(&child, "-INT");
+    signal(&child, "-INT");
+    let begun = Instant::now();
+    let mut said = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    // The first signal alone would have saved the state and said how to go on.
+    assert!(said.contains("once more to abort") && !said.contains("continue with"), "{said}");
+}
