@@ -190,6 +190,7 @@ pub struct ExplainArgs {
 pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let found = Found::read(&arguments.check)?;
     let tape = runs::tape(&found.dir, arguments.check.number)?;
+    runs::check_tape(&found.dir, arguments.check.number, found.line())?;
     let run = Run::new(&found.config);
     write!(terminal.out, "{}", film::explain(&tape, run.spec(), WIDTH, terminal.color))?;
     let token = Token { config: found.config.clone(), number: tape.number, digest: found.line().digest() };

@@ -12,6 +12,4 @@ pub mod statistics;
 mod svg;
 
 #[cfg(test)]
-mod preview;
-#[cfg(test)]
 mod samples;

@@ -162,6 +162,24 @@ mod tests {
     }
 
     #[test]
+    fn a_state_of_another_version_is_named() {
+        let config = "env=box-moving".parse().unwrap();
+        let path = std::env::temp_dir().join(format!("mcvl-checkpoint-{}", std::process::id()));
+        let run = Run::new(&config);
+        Checkpoint::write(&path, 1, &header().logs, &run).unwrap();
+        let back = Checkpoint::read(&path).unwrap();
+        assert_eq!((back.finished, back.run.snapshot()), (1, run.snapshot()));
+        // Core's version follows the 8 bytes that say what a snapshot is.
+        let mut state = run.snapshot();
+        state[8] += 1;
+        fs::write(&path, encode(&header(), &state)).unwrap();
+        let error = Checkpoint::read(&path).err().unwrap();
+        fs::remove_file(&path).unwrap();
+        assert!(matches!(error, RunsError::Damaged { .. }));
+        assert!(error.to_string().contains("the snapshot has format version"), "{error}");
+    }
+
+    #[test]
     fn another_version_is_named() {
         let mut bytes = encode(&header(), b"state");
         bytes[MAGIC.len()] = 9;

@@ -40,7 +40,7 @@ pub use layout::{Place, Reference, RunDir, SeedDir};
 pub use manifest::{FileDigest, Manifest, State};
 pub use plan::{Origin, Plan, Setting};
 pub use pool::{Control, Outcome, SeedView, train};
-pub use read::{ledger, lines, tape};
+pub use read::{check_tape, ledger, lines, tape};
 pub use token::Token;
 pub use verify::{Finding, Verification, verify};
 pub use write::{Lock, STEP_COLUMNS, SeedWriter, step_row, write_atomic};

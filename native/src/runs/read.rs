@@ -115,6 +115,19 @@ pub fn tape(dir: &SeedDir, number: u32) -> Result<CheckRecord, RunsError> {
     serde_json::from_slice(&text).map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))
 }
 
+/// Checks the tape that a line of the ledger names.
+///
+/// # Errors
+/// If it cannot be read or was altered.
+pub fn check_tape(dir: &SeedDir, number: u32, line: &LedgerLine) -> Result<(), RunsError> {
+    let path = dir.tape(number);
+    if FileDigest::of(&path)?.sha256 == line.tape {
+        Ok(())
+    } else {
+        Err(RunsError::damaged(&path, "was altered: its digest is not the one in ledger.jsonl"))
+    }
+}
+
 /// The number of the first line of a ledger, from 1, that breaks its chain; how many lines there are
 /// otherwise.
 pub fn check_chain(plan: &Plan, dir: &SeedDir, lines: &[LedgerLine]) -> Result<usize, usize> {
@@ -128,11 +141,5 @@ pub fn check_chain(plan: &Plan, dir: &SeedDir, lines: &[LedgerLine]) -> Result<u
 
 /// Checks the tapes of the first `checks` lines of a seed's ledger.
 pub fn check_tapes(dir: &SeedDir, checks: u32) -> Result<(), RunsError> {
-    for (number, line) in (1..=checks).zip(ledger(dir)?) {
-        let path = dir.tape(number);
-        if FileDigest::of(&path)?.sha256 != line.tape {
-            return Err(RunsError::damaged(&path, "was altered: its digest is not the one in ledger.jsonl"));
-        }
-    }
-    Ok(())
+    (1..=checks).zip(ledger(dir)?).try_for_each(|(number, line)| check_tape(dir, number, &line))
 }
