@@ -157,6 +157,7 @@ enum Damage {
     Flip(usize),
     Set(usize, u8),
     Write(&'static str),
+    Replace(&'static str, &'static str),
     Remove,
 }
 
@@ -168,6 +169,11 @@ impl Damage {
             Damage::Flip(at) => bytes[*at] ^= 1,
             Damage::Set(at, byte) => bytes[*at] = *byte,
             Damage::Write(text) => bytes = text.as_bytes().to_vec(),
+            Damage::Replace(from, to) => {
+                let text = String::from_utf8(bytes).unwrap();
+                assert!(text.contains(from), "{} has no {from}", path.display());
+                bytes = text.replacen(from, to, 1).into_bytes();
+            }
             Damage::Remove => return fs::remove_file(path).unwrap(),
         }
         fs::write(path, bytes).unwrap();
@@ -232,6 +238,7 @@ fn damaged_runs_are_not_read_as_if_they_were_whole() {
         ("seed-0/ledger.jsonl", Damage::Write("{}\n"), "ledger run"),
         ("seed-0/tapes/check-1.json", Damage::Cut(10), "explain run#1"),
         ("seed-0/tapes/check-1.json", Damage::Remove, "explain run#1"),
+        ("seed-0/tapes/check-1.json", Damage::Replace("\"step\":", "\"step\":1"), "explain run#1"),
         ("seed-0/steps.csv", Damage::Flip(0), "replay run#1"),
     ] {
         let path = folder.join("run").join(name);
