@@ -62,7 +62,7 @@ fn build_mcvl() -> Result<PathBuf> {
 /// If Node is not installed or the script fails.
 pub fn node(script: &str, arguments: &[&str]) -> Result<String> {
     let path = root().join("tests/node").join(script);
-    run(Command::new("node").arg(path).args(arguments)).context("Node is needed: `cargo xtask setup` installs it")
+    run(Command::new("node").arg(path).args(arguments))
 }
 
 /// Runs a command and returns what it prints.
@@ -70,7 +70,9 @@ pub fn node(script: &str, arguments: &[&str]) -> Result<String> {
 /// # Errors
 /// If it cannot be started or fails; the message has what it said.
 pub fn run(command: &mut Command) -> Result<String> {
-    let Output { status, stdout, stderr } = command.output().with_context(|| format!("{command:?}"))?;
+    let Output { status, stdout, stderr } = command
+        .output()
+        .with_context(|| format!("{command:?} cannot be started; `cargo xtask setup` installs what tests need"))?;
     if !status.success() {
         bail!("{command:?} ended with {status}:\n{}", String::from_utf8_lossy(&stderr));
     }

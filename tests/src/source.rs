@@ -28,7 +28,8 @@ impl SourceFile {
     /// with which a Rust file may end.
     pub fn code(&self) -> impl Iterator<Item = (usize, &str)> {
         let lines: Vec<&str> = self.text.lines().collect();
-        let is_tests = |pair: &[&str]| pair[0].trim() == "#[cfg(test)]" && pair[1].trim_start().starts_with("mod ");
+        let is_tests =
+            |pair: &[&str]| pair[0] == "#[cfg(test)]" && pair[1].starts_with("mod ") && pair[1].ends_with('{');
         let end = lines.windows(2).position(is_tests).unwrap_or(lines.len());
         lines.into_iter().take(end).zip(1..).map(|(line, number)| (number, without_comment(line)))
     }
@@ -83,10 +84,10 @@ mod tests {
 
     #[test]
     fn comments_and_test_modules_are_left_out() {
-        let text = "a // b\nc(\"//\") /// d\n\"https://e\" // f\n#[cfg(test)]\nmod tests {\ng\n}";
+        let text = "a // b\n#[cfg(test)]\nmod x;\nc(\"//\") /// d\n\"https://e\" // f\n#[cfg(test)]\nmod tests {\ng\n}";
         let file = SourceFile { path: "x.rs".into(), text: text.into() };
         let code: Vec<_> = file.code().collect();
-        assert_eq!(code, [(1, "a "), (2, "c(\"//\") "), (3, "\"https://e\" ")]);
+        assert_eq!(code, [(1, "a "), (2, "#[cfg(test)]"), (3, "mod x;"), (4, "c(\"//\") "), (5, "\"https://e\" ")]);
         assert!(file.is(&["rs"]) && !file.is(&["js"]));
     }
 }

@@ -178,8 +178,9 @@ fn heavy_crates_stay_in_their_rooms() {
 
 #[test]
 fn unsafe_code_has_one_place() {
+    let begins = [" {", " fn", " impl", " trait", " extern", "("].map(|rest| format!("{}{rest}", "unsafe"));
     let found = violations(rust(&files(), ""), |file, line| {
-        file.path != "core/src/nn/isa.rs" && !line.contains("\"unsafe\"") && has_word(line, "unsafe")
+        file.path != "core/src/nn/isa.rs" && begins.iter().any(|begin| line.contains(begin))
     });
     assert_none(&found, "unsafe stands only in core/src/nn/isa.rs, with its proof");
 }

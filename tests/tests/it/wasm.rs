@@ -16,7 +16,7 @@ use serde_json::Value;
 const MODULES: [&str; 2] = ["scalar", "simd"];
 
 /// A short run with checks.
-const CONFIGURATION: &str = "env=box-moving seed=3 safe_steps=300 full_steps=200 epsilon_decay=100 forecast=50 \
+const CONFIGURATION: &str = "env=box-moving seed=3 safe_steps=300 full_steps=100 epsilon_decay=100 forecast=40 \
                              evaluations=4 evaluation_episodes=2 rollouts=2";
 
 /// The folder of the modules, after a look whether they are there and made from today's source.

@@ -1,0 +1,87 @@
+// Opens addresses of the page in Chromium, waits until each is done, and prints what stands there, as a
+// JSON array. Arguments: ADDRESS...
+import { spawn } from "node:child_process";
+import { mkdtemp, rm } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+
+const SWITCHES = [
+  "--headless=new",
+  "--no-sandbox",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
+];
+/** Longest wait for a run, milliseconds. */
+const PATIENCE = 120_000;
+
+/** What is read from the page, in the page. */
+const READ = `
+  const text = (id) => document.getElementById(id).textContent;
+  return {
+    status: text("status"),
+    error: text("error"),
+    tally: text("tally"),
+    module: text("module"),
+    verdicts: [...document.querySelectorAll("#verdicts tr")].map((row) => row.innerText.split("\\t")),
+    scores: [...document.querySelectorAll("#scores tr")].map((row) => row.innerText.split("\\t")),
+    requests: performance.getEntriesByType("resource").map((entry) => new URL(entry.name).origin),
+  };`;
+
+const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
+const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
+try {
+  console.log(JSON.stringify(await visit(await port(driver), process.argv.slice(2))));
+} finally {
+  driver.kill();
+  await rm(profile, { recursive: true, force: true, maxRetries: 5 });
+}
+
+/** The port on which the driver listens, once it does. */
+async function port(driver) {
+  let said = "";
+  for await (const chunk of driver.stdout) {
+    said += chunk;
+    const found = said.match(/started successfully on port (\d+)/);
+    if (found) return found[1];
+  }
+  throw new Error(`chromedriver did not start: ${said}`);
+}
+
+async function visit(port, addresses) {
+  const call = async (path, method = "GET", body) => {
+    const options = { method, body: body && JSON.stringify(body) };
+    const response = await fetch(`http://127.0.0.1:${port}/session${path}`, options);
+    const { value } = await response.json();
+    if (!response.ok) throw new Error(`${method} ${path}: ${value.message}`);
+    return value;
+  };
+  const { sessionId } = await call("", "POST", {
+    capabilities: {
+      alwaysMatch: {
+        "goog:chromeOptions": { args: [...SWITCHES, `--user-data-dir=${profile}`] },
+        "goog:loggingPrefs": { browser: "ALL" },
+      },
+    },
+  });
+  const read = () => call(`/${sessionId}/execute/sync`, "POST", { script: READ, args: [] });
+  const seen = [];
+  try {
+    for (const url of addresses) {
+      await call(`/${sessionId}/url`, "POST", { url });
+      const start = Date.now();
+      let page;
+      do {
+        await new Promise((resolve) => setTimeout(resolve, 200));
+        page = await read();
+      } while (!/^(Done|Nothing)/.test(page.status) && Date.now() - start < PATIENCE);
+      const log = await call(`/${sessionId}/se/log`, "POST", { type: "browser" });
+      seen.push({ ...page, log: log.map((entry) => entry.message) });
+    }
+  } finally {
+    await call(`/${sessionId}`, "DELETE");
+  }
+  return seen;
+}

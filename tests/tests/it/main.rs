@@ -1,0 +1,10 @@
+//! Tests that need more than one room, in one program.
+
+mod cli;
+mod cli_docs;
+mod cli_errors;
+mod cli_resume;
+mod golden;
+mod page;
+mod tidy;
+mod wasm;
