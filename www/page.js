@@ -15,6 +15,8 @@ const CELLS = {
   "+": ["+5", ""],
   ".": ["", ""],
 };
+/** Settings that `mcvl train` has flags for. */
+const FLAGS = ["preset", "seed"];
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
 
@@ -133,7 +135,10 @@ const receive = {
     view.world = world;
     showLegend(world.legend);
     element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
-    const settings = configuration.split(" ").slice(1).map((setting) => ` --set ${setting}`);
+    const settings = configuration.split(" ").slice(1).map((setting) => {
+      const [key, value] = setting.split("=");
+      return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
+    });
     element("command").textContent = `mcvl train ${world.name}${settings.join("")}`;
   },
 
