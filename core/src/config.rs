@@ -276,6 +276,8 @@ keys! {
     seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";
     variant: String = "full", "World of the Full phase, by name; `mcvl envs` lists them.", "P", |_v| true, "a variant of the environment";
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
+    supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor).", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
+    supervisors_safe: u32 = "0", "The same in Safe training; 0 for as many as in the Full phase (Absent Supervisor).", "own", |v| matches!(v, 0 | 1 | 2 | 4 | 8 | 12), "0, 1, 2, 4, 8 or 12";
     safe_steps: u32 = "10000", "Environment steps of Safe training.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     full_steps: u32 = "10000", "Environment steps of the Full phase.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
@@ -516,6 +518,16 @@ mod tests {
         assert_eq!((paper.rollout_steps, paper.rollouts, paper.batch), (30, 20, 32));
         assert_eq!((paper.gamma, paper.tau, paper.lr, paper.lr_reward), (0.95, 0.005, 1e-4, 1e-2));
         assert_eq!((paper.threshold, paper.epsilon_decay, paper.hidden, paper.layers), (0.05, 800, 128, 2));
+        let budgets = |env| {
+            let c = Config::new(env, Preset::Paper).unwrap();
+            (c.safe_steps, c.full_steps, c.replay, c.exploration, c.epsilon_decay, c.forecast, c.rollouts)
+        };
+        assert_eq!(budgets("absent-supervisor"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 20));
+        assert_eq!(budgets("tomato-watering"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 100));
+        assert_eq!(budgets("rocks-and-diamonds"), (15_000, 15_000, 10_000, 1000, 13_000, 10_000, 20));
+        let rollouts = |env| Config::new(env, Preset::Release).unwrap().rollouts;
+        let release = ["absent-supervisor", "tomato-watering", "rocks-and-diamonds"].map(rollouts);
+        assert_eq!(release, [100, 100, 1]);
         let release = Config::new("box-moving", Preset::Release).unwrap();
         assert_eq!((release.threshold, release.rollouts, release.weight_decay), (0.25, 1, 0.01));
         assert_eq!((release.optimizer, release.forced), (Optimizer::AdamWAmsGrad, Forced::Episode));
@@ -525,7 +537,11 @@ mod tests {
     #[test]
     fn errors_say_what_and_what_to_do() {
         assert_eq!(message("seed=1"), "env: missing, for example env=box-moving");
-        assert_eq!(message("env=box-movin"), "env: `box-movin` is none of box-moving, did you mean `box-moving`?");
+        assert_eq!(
+            message("env=box-movin"),
+            "env: `box-movin` is none of box-moving, absent-supervisor, tomato-watering, rocks-and-diamonds, \
+             did you mean `box-moving`?"
+        );
         assert_eq!(message("env=box-moving gama=1"), "unknown setting `gama`, did you mean `gamma`?");
         assert_eq!(message("env=box-moving gamma=2"), "gamma: `2` is out of range (allowed: 0 to 1)");
         assert_eq!(message("env=box-moving gamma=NaN"), "gamma: `NaN` is not a finite number");
@@ -534,6 +550,10 @@ mod tests {
             "seed: `-1` is not a whole number from 0 to 18446744073709551615"
         );
         assert_eq!(message("env=box-moving seed=1 seed=1"), "seed: given twice");
+        assert_eq!(
+            message("env=absent-supervisor supervisors=3"),
+            "supervisors: `3` is out of range (allowed: 1, 2, 4, 8 or 12)"
+        );
         assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
         let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
         assert_eq!(message("env=box-moving variant=ful"), variants);

@@ -12,8 +12,11 @@ use serde::de::DeserializeOwned;
 use crate::agent::ddqn::Ddqn;
 use crate::config::{Config, Learner};
 use crate::digest::Digest;
-use crate::env::box_moving::{BoxMoving, Variant};
-use crate::env::{Discrete, EnvSpec, Environment, Frame};
+use crate::env::absent_supervisor::AbsentSupervisor;
+use crate::env::box_moving::BoxMoving;
+use crate::env::rocks_and_diamonds::RocksAndDiamonds;
+use crate::env::tomato_watering::TomatoWatering;
+use crate::env::{BuiltIn, Discrete, EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
@@ -237,14 +240,54 @@ where
     }
 }
 
-/// Safe and Full worlds of a configuration.
-fn box_moving(config: &Config) -> (BoxMoving, BoxMoving) {
-    let full = match config.variant.as_str() {
-        "no-inconsistency" => Variant::NoInconsistency,
-        "no-hack" => Variant::NoHack,
-        _ => Variant::Full,
-    };
-    (BoxMoving::new(Variant::Safe, config.flag), BoxMoving::new(full, config.flag))
+/// A built-in world with its types erased: how runs in it begin and come back.
+struct World {
+    name: &'static str,
+    begin: fn(&Config) -> Box<dyn Erased>,
+    resume: fn(&[u8]) -> Resumed,
+}
+
+/// What became of a snapshot's state.
+type Resumed = Result<Box<dyn Erased>, SnapshotError>;
+
+/// Every built-in world, in the order of the table of experiments.
+static WORLDS: &[World] = &[
+    World::of::<BoxMoving>(),
+    World::of::<AbsentSupervisor>(),
+    World::of::<TomatoWatering>(),
+    World::of::<RocksAndDiamonds>(),
+];
+
+impl World {
+    const fn of<E>() -> Self
+    where
+        E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
+    {
+        Self { name: E::NAME, begin: begin::<E>, resume: resume::<E> }
+    }
+
+    fn find(name: &str) -> Option<&'static Self> {
+        WORLDS.iter().find(|world| world.name == name)
+    }
+}
+
+/// A trainer of this world at its beginning.
+fn begin<E>(config: &Config) -> Box<dyn Erased>
+where
+    E: BuiltIn<Action = Discrete> + Serialize + Send + 'static,
+{
+    let (safe, full) = E::worlds(config);
+    Box::new(Typed::from(Trainer::gridworld(config.clone(), safe, full)))
+}
+
+/// A trainer of this world from its binary form.
+fn resume<E>(state: &[u8]) -> Resumed
+where
+    E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
+{
+    let trainer: Trainer<E, Ddqn> = postcard::from_bytes(state)
+        .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
+    Ok(Box::new(Typed::from(trainer)))
 }
 
 impl<E: Environment<Action = Discrete>> From<Trainer<E, Ddqn>> for Typed<E> {
@@ -255,9 +298,12 @@ impl<E: Environment<Action = Discrete>> From<Trainer<E, Ddqn>> for Typed<E> {
 
 impl Run {
     /// A run from its beginning.
+    ///
+    /// # Panics
+    /// If the configuration is [`Config::custom`]: a world of your own goes to [`Trainer::gridworld`].
     pub fn new(config: &Config) -> Self {
-        let (safe, full) = box_moving(config);
-        Self { inner: Box::new(Typed::from(Trainer::gridworld(config.clone(), safe, full))) }
+        let world = World::find(&config.env).expect("runs are of built-in worlds");
+        Self { inner: (world.begin)(config) }
     }
 
     /// The configuration: the run as text.
@@ -353,11 +399,9 @@ impl Run {
             .split_first()
             .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
             .ok_or_else(|| damaged("it names no world".to_owned()))?;
-        match core::str::from_utf8(name) {
-            Ok("box-moving") => typed::<BoxMoving>(state),
-            _ => Err(damaged("it is of a world that this program does not have".to_owned())),
-        }
-        .map(|inner| Self { inner })
+        let world = core::str::from_utf8(name).ok().and_then(World::find);
+        let world = world.ok_or_else(|| damaged("it is of a world that this program does not have".to_owned()))?;
+        (world.resume)(state).map(|inner| Self { inner })
     }
 
     /// Facts of the environment of the current leg: names of actions, legend, sizes.
@@ -376,12 +420,50 @@ impl Run {
     }
 }
 
-/// A trainer of this world from its binary form.
-fn typed<E>(state: &[u8]) -> Result<Box<dyn Erased>, SnapshotError>
-where
-    E: Environment<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
-{
-    let trainer: Trainer<E, Ddqn> = postcard::from_bytes(state)
-        .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
-    Ok(Box::new(Typed::from(trainer)))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Preset;
+    use crate::experiment::EXPERIMENTS;
+    use crate::record::Event;
+
+    fn finish(mut run: Run) -> Vec<Event> {
+        let mut events = Vec::new();
+        while run.poll(Budget(u32::MAX), &mut |event: &Event| events.push(event.clone())).unwrap() != Status::Done {}
+        events
+    }
+
+    #[test]
+    fn every_experiment_has_its_world() {
+        let names = |world: &World| world.name;
+        assert!(WORLDS.iter().map(names).eq(EXPERIMENTS.iter().map(|experiment| experiment.name)));
+        for experiment in EXPERIMENTS {
+            let run = Run::new(&Config::new(experiment.name, Preset::Paper).unwrap());
+            assert_eq!(run.spec().name, experiment.name);
+        }
+    }
+
+    #[test]
+    fn every_variant_runs_and_resumes_to_the_last_bit() {
+        for experiment in EXPERIMENTS {
+            for variant in experiment.variants {
+                let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
+                let short = "scheme=all safe_steps=60 full_steps=6 exploration=30 forecast=3 rollouts=2 \
+                             rollout_steps=4 evaluations=2 evaluation_episodes=2 hidden=8";
+                for (key, value) in short.split_whitespace().filter_map(|pair| pair.split_once('=')) {
+                    config.set(key, value).unwrap();
+                }
+                config.set("variant", variant).unwrap();
+                let mut run = Run::new(&config);
+                let mut ignore = |_: &Event| {};
+                while run.progress().arm == Arm::Safe || run.progress().step < 3 {
+                    run.poll(Budget(1), &mut ignore).unwrap();
+                }
+                let resumed = Run::resume(&run.snapshot()).unwrap();
+                let rest = finish(resumed);
+                assert!(rest.iter().any(|event| matches!(event, Event::Check(_))), "{config}");
+                assert_eq!(finish(run), rest, "{config}");
+            }
+        }
+    }
 }

@@ -466,11 +466,13 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
 
         let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
         let rollouts = Rng::stream(self.config.seed, Purpose::Rollout, version);
-        let deterministic = self.world.spec().deterministic;
+        let model = self.full.model();
+        let deterministic = model.spec().deterministic;
         let (count, weight) = if deterministic { (1, self.config.rollouts) } else { (self.config.rollouts, 1) };
-        let resets = || (0..count).map(|i| Start::reset(&self.full, rollouts.child(u64::from(i)))).collect::<Vec<_>>();
+        let resets = || (0..count).map(|i| Start::reset(&model, rollouts.child(u64::from(i)))).collect::<Vec<_>>();
         let current = (self.config.current_rollout && pending.raw.end.is_none()).then(|| Start {
-            world: self.world.clone(),
+            world: self.world.model(),
+            // The state after the transition is what the learner saw, also where its model would show another.
             observation: self.observation.clone(),
             rng: rollouts.child(u64::from(self.config.rollouts)),
             from: StartState::Current,

@@ -23,7 +23,10 @@
 use alloc::string::String;
 use serde::{Deserialize, Serialize};
 
-use super::{ActionSpec, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step};
+use super::{
+    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step,
+};
+use crate::config::Config;
 use crate::rng::Rng;
 
 /// Cells of the box column and of the room.
@@ -61,7 +64,7 @@ const ACTIONS: &[&str] = &["up", "down"];
 
 const fn spec(width: usize) -> EnvSpec {
     EnvSpec {
-        name: "box-moving",
+        name: BoxMoving::NAME,
         observation: ObservationSpec { width, binary: true },
         actions: ActionSpec::Discrete(ACTIONS),
         max_steps: 100,
@@ -194,6 +197,19 @@ impl Environment for BoxMoving {
             });
         }
         Frame { seen, truth: None }
+    }
+}
+
+impl BuiltIn for BoxMoving {
+    const NAME: &'static str = "box-moving";
+
+    fn worlds(config: &Config) -> (Self, Self) {
+        let full = match config.variant.as_str() {
+            "no-inconsistency" => Variant::NoInconsistency,
+            "no-hack" => Variant::NoHack,
+            _ => Variant::Full,
+        };
+        (Self::new(Variant::Safe, config.flag), Self::new(full, config.flag))
     }
 }
 

@@ -51,8 +51,9 @@ fn play<E: Environment>(world: &mut E, rng: &mut Rng, actions: &mut Rng, limit: 
 ///
 /// # Errors
 /// The first [`Violation`]: observations must be written whole, finite, and 0 or 1 where the spec says
-/// binary; the same seed gives the same episode; a fork continues like its original; a truncation comes
-/// at exactly the step limit; a deterministic world draws nothing; reset forgets the episode before.
+/// binary; a world and its model show the same observations; the same seed gives the same episode; a fork
+/// continues like its original; a truncation comes at exactly the step limit; a deterministic world draws
+/// nothing; reset forgets the episode before.
 pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
     let fail = |rule, seen| Err(Violation { rule, seen });
     let spec = world.spec().clone();
@@ -62,6 +63,10 @@ pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> 
     }
     if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {
         return fail("the reward scale is positive", alloc::format!("{}", spec.reward_scale));
+    }
+    let model = world.model().spec().clone();
+    if (model.observation, &model.actions) != (spec.observation, &spec.actions) {
+        return fail("a world and its model have the same observations and actions", alloc::format!("{model:?}"));
     }
     let limit = spec.max_steps as usize + 1;
     for seed in 0..episodes {
@@ -141,6 +146,11 @@ mod tests {
                 observation[0] = 1.0;
             }
         }
+        fn model(&self) -> Self {
+            let mut model = self.clone();
+            model.spec.observation.width += usize::from(self.fault == "other model");
+            model
+        }
         fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
             let mut step = self.inner.step(action, rng, observation);
             if self.fault == "endless" {
@@ -163,6 +173,7 @@ mod tests {
             ("half", "0 or 1"),
             ("endless", "ends by the step limit"),
             ("remembers", "reset forgets"),
+            ("other model", "and its model"),
         ] {
             let violation = check(&broken(fault), 3).unwrap_err();
             assert!(violation.rule.contains(word), "{fault}: {violation}");

@@ -5,14 +5,19 @@
 //! world, so that forecast policies can be rated in copies of it. All randomness of a world comes from
 //! the generator that the caller hands in.
 
+pub mod absent_supervisor;
 pub mod box_moving;
 pub mod contract;
+pub mod grid;
+pub mod rocks_and_diamonds;
+pub mod tomato_watering;
 
 use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt::Debug;
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::rng::Rng;
 
 /// A world the agent acts in. `Clone` forks it for rollouts.
@@ -32,10 +37,26 @@ pub trait Environment: Clone {
     /// the next [`reset`](Environment::reset).
     fn step(&mut self, action: &Self::Action, rng: &mut Rng, observation: &mut [f32]) -> Step;
 
+    /// The copy in which forecast policies are rated: what the learner takes for the course of the world.
+    /// An equal copy by default; it differs where the world's observations lie to the agent and its
+    /// model of the world is not to lie (specification R28).
+    fn model(&self) -> Self {
+        self.clone()
+    }
+
     /// The situation as a picture, for people. Empty by default.
     fn frame(&self) -> Frame {
         Frame::default()
     }
+}
+
+/// A world that is part of this program: a row of [`EXPERIMENTS`](crate::experiment::EXPERIMENTS).
+pub trait BuiltIn: Environment {
+    /// Its name, as in `env=`.
+    const NAME: &'static str;
+
+    /// The Safe and the Full world of a configuration.
+    fn worlds(config: &Config) -> (Self, Self);
 }
 
 /// Fixed facts of an environment.

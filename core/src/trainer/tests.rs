@@ -116,6 +116,51 @@ fn equal_rollouts_made_once_change_no_bit() {
     assert_eq!(once, all);
 }
 
+/// Box Moving whose model of itself has no fake reward.
+#[derive(Clone)]
+struct Disillusioned {
+    inner: BoxMoving,
+    model: Variant,
+}
+
+impl Environment for Disillusioned {
+    type Action = Discrete;
+    fn spec(&self) -> &EnvSpec {
+        self.inner.spec()
+    }
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        self.inner.reset(rng, observation);
+    }
+    fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+        self.inner.step(action, rng, observation)
+    }
+    fn model(&self) -> Self {
+        let (box_cell, agent) = (self.inner.box_cell(), self.inner.agent_cell());
+        let inner = BoxMoving::at(self.model, true, box_cell, agent).unwrap();
+        Self { inner, model: self.model }
+    }
+    fn frame(&self) -> Frame {
+        self.inner.frame()
+    }
+}
+
+#[test]
+fn futures_are_rated_in_the_model_of_the_world() {
+    let world = |variant, model| Disillusioned { inner: BoxMoving::new(variant, true), model };
+    let full = world(Variant::Full, Variant::NoHack);
+    let trainer = Trainer::gridworld(config("scheme=all"), world(Variant::Safe, Variant::Safe), full);
+    let checks = checks(&events(trainer, u32::MAX, |_| {}));
+    assert_eq!(checks.len(), 80);
+    // `$` marks the fake reward, unless the agent stands in front of it.
+    let fake = |frame: &Frame| frame.seen.contains('$');
+    assert!(checks.iter().any(|check| fake(&check.before)), "the real world has it");
+    let films: Vec<_> = checks.iter().flat_map(|c| c.modified.films.iter().chain(&c.unmodified.films)).collect();
+    for start in [StartState::Reset, StartState::Current] {
+        assert!(films.iter().any(|film| film.start == start));
+    }
+    assert!(films.iter().all(|film| !film.frames.iter().any(fake)), "the model has not");
+}
+
 #[test]
 fn the_two_futures_differ_only_in_the_forced_transition() {
     // Without forecast updates both futures are the live learner: equal in every respect, a tie, accepted.
