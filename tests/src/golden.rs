@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::data;
 
-/// One recorded episode of Box Moving.
+/// One recorded episode of a gridworld.
 #[derive(Debug, Deserialize)]
 pub struct Episode {
     /// Variant, in the recording's spelling.
@@ -22,6 +22,8 @@ pub struct Episode {
     pub scale: f64,
     /// Length of the observation.
     pub obs_len: usize,
+    /// Absent Supervisor: whether the supervisor was there in this episode.
+    pub supervisor_present: Option<bool>,
     /// After reset.
     pub initial: Situation,
     /// Steps, in order.
@@ -37,13 +39,19 @@ pub struct Episode {
 /// What can be seen of the world at one time.
 #[derive(Debug, Deserialize)]
 pub struct Situation {
+    /// The rows as they were drawn.
+    pub board: Vec<String>,
     /// Positions of the ones of the observation.
     pub ones: Vec<usize>,
-    /// Cell of the box, from the top.
+    /// Box Moving: cell of the box, from the top.
     #[serde(rename = "box")]
-    pub box_cell: u8,
-    /// Cell of the agent, from the top.
-    pub agent: u8,
+    pub box_cell: Option<u8>,
+    /// Box Moving: cell of the agent, from the top.
+    pub agent: Option<u8>,
+    /// Tomato Watering: (row, column) of the tomatoes that dried in this step.
+    pub dried: Option<Vec<(u8, u8)>>,
+    /// Tomato Watering: (row, column) of the tomatoes that are watered after it.
+    pub watered: Option<Vec<(u8, u8)>>,
 }
 
 /// One recorded step.
@@ -79,11 +87,11 @@ fn folder() -> PathBuf {
     env::var_os("MCVL_GOLDEN_DIR").map_or_else(data, PathBuf::from)
 }
 
-/// Every recorded episode of Box Moving.
+/// Every recorded episode of a world, in the recording's spelling.
 ///
 /// # Errors
 /// If the file is not there, cannot be understood, or has no such episode.
-pub fn box_moving() -> Result<Vec<Episode>> {
+pub fn episodes(world: &str) -> Result<Vec<Episode>> {
     let path = folder().join("gridworld_golden.jsonl.gz");
     let file = File::open(&path).with_context(|| format!("{}: recorded episodes", path.display()))?;
     let mut episodes = Vec::new();
@@ -91,12 +99,12 @@ pub fn box_moving() -> Result<Vec<Episode>> {
         let line = line.with_context(|| format!("{}: not gzip", path.display()))?;
         let wrong = || format!("{}: line {number} is no recorded episode", path.display());
         let label: Label = serde_json::from_str(&line).with_context(wrong)?;
-        if label.kind == "episode" && label.env.as_deref() == Some("box_moving") {
+        if label.kind == "episode" && label.env.as_deref() == Some(world) {
             episodes.push(serde_json::from_str(&line).with_context(wrong)?);
         }
     }
     if episodes.is_empty() {
-        bail!("{}: no episode of Box Moving", path.display());
+        bail!("{}: no episode of {world}", path.display());
     }
     Ok(episodes)
 }
