@@ -100,7 +100,7 @@ impl fmt::Display for ArtError {
 
 impl core::error::Error for ArtError {}
 
-/// A set of cells.
+/// A set of cells, each below [`MAX_CELLS`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct CellSet(u64);
 
