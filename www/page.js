@@ -1,139 +1,152 @@
-// Shows what the worker reports. The configuration of the run is the page's link.
+// Holds the panels together: what the worker reports goes to them, what a person does goes into the link.
+import { board, draw, legend } from "./board.js";
+import { curves } from "./curves.js";
+import { element, LEARNERS, make, number, say } from "./dom.js";
+import { player } from "./film.js";
+import { ledger } from "./ledger.js";
+import * as link from "./link.js";
+import { momentPanel } from "./moment.js";
 
-const LEARNERS = {
-  safe: "Safe training",
-  baseline: "Ordinary learner",
-  mc: "Modification-considering learner",
-};
-/** How characters of a frame are drawn: sign and class. */
-const CELLS = {
-  B: ["■", "box"],
-  A: ["●", "agent"],
-  "^": ["▲", ""],
-  v: ["▼", ""],
-  $: ["▼5", "fake"],
-  "+": ["+5", ""],
-  ".": ["", ""],
-};
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
 
-const element = (id) => document.getElementById(id);
-const number = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
-const signed = (value, digits = 2) => (value > 0 ? "+" : "") + number(value, digits);
-const still = matchMedia("(prefers-reduced-motion: reduce)");
-
+const motion = matchMedia("(prefers-reduced-motion: reduce)");
 const worker = new Worker("worker.js", { type: "module" });
-let view;
+/** What the link asks for. */
+let view = {};
+/** The run on show. */
+let run = {};
+/** Runs asked for so far: what the worker says of an older one comes too late. */
+let ticket = 0;
+
+const moment = momentPanel(() => motion.matches);
+const film = player((frame) => put({ frame }));
+const table = ledger(choose);
+const chart = curves(choose);
+
+/** Changes the view and the link. */
+function put(changes) {
+  for (const [key, value] of Object.entries(changes)) view[key] = value === null ? null : String(value);
+  if (changes.frame !== undefined && view.check === null && run.shown) view.check = String(run.shown.number);
+  link.write({ ...changes, check: view.check });
+}
+
+/** Begins the run of the link, or of the default page where the link is malformed. */
+function begin(complaint = "") {
+  const found = link.read();
+  const text = complaint || found.complaint;
+  const stop = text.endsWith("?") ? "" : ".";
+  say("error", text && `${text}${stop} This is the default page instead; correct the link and reload, or go on here.`);
+  view = found.view;
+  element("seed").value = found.seed;
+  for (const key of ["speed", "filter", "film"]) document.querySelector(`input[name=${key}][value="${view[key]}"]`).checked = true;
+  element("picture").checked = view.picture === "true";
+  film.speed = Number(view.speed);
+  film.picture = view.picture;
+  table.filter = view.filter;
+  clear();
+  if (motion.matches && !run.begun) ended("Nothing starts by itself: press Run.");
+  else compute(found.configuration);
+}
 
 /** Forgets the last run. */
 function clear() {
-  view = { world: null, legs: new Map(), scores: new Map(), refused: 0, accepted: 0, wrong: 0, spoken: 0 };
-  for (const id of ["legs", "legend", "scores", "verdicts"]) element(id).replaceChildren();
-  element("tally").textContent = "No verdict yet.";
-  element("error").hidden = true;
+  run = { begun: run.begun, world: null, legs: new Map(), scores: new Map(), checks: [], spoken: 0 };
+  for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
+  table.clear();
+  chart.clear();
+  film.halt();
+  const what = view.check === null ? "The first refusal" : `Check ${view.check}`;
+  moment.wait(`${what} appears here. The agent trains in the safe world first, which takes a few seconds.`);
 }
 
-function start(configuration) {
-  clear();
+function compute(configuration) {
+  ticket += 1;
+  run.begun = true;
   element("status").textContent = "Computing.";
   element("stop").disabled = false;
-  worker.postMessage({ configuration });
+  element("stop").textContent = "Pause run";
+  worker.postMessage({ kind: "start", configuration });
 }
 
-function stop(text) {
+function ended(text) {
   element("status").textContent = text;
   element("stop").disabled = true;
 }
 
-/** An element with text. */
-function make(name, text = "", className = "") {
-  const made = document.createElement(name);
-  made.textContent = text;
-  made.className = className;
-  return made;
+/** Opens a moment because a person chose it. */
+function choose(number) {
+  if (number === null) return;
+  put({ check: number, frame: null });
+  ask(number);
+}
+
+function ask(number) {
+  run.asked = number;
+  worker.postMessage({ kind: "moment", number });
+}
+
+/** Shows the moment whose films have come; with `frame` in the link it stands there, else it plays. */
+function open(check) {
+  run.shown = check;
+  moment.open(check, run.world, run.configuration, view.picture);
+  element("starts").hidden = check.modified.films.length < 2;
+  film.open(check, view.film, Number(view.frame ?? 0), run.world);
+  if (view.frame === null && !motion.matches) film.play();
+  table.choose(check.number);
+  chart.choose(check.number);
 }
 
 /** The drawing of a leg, made when it is first heard of. */
 function leg(arm) {
-  if (!view.legs.has(arm)) {
+  if (!run.legs.has(arm)) {
     const figure = make("figure", "", "leg");
-    const board = make("div", "", "board");
+    const drawing = board();
     const figures = make("p");
-    board.setAttribute("role", "img");
-    figure.append(make("figcaption", LEARNERS[arm]), board, figures);
+    figure.append(make("figcaption", LEARNERS[arm]), drawing, figures);
     element("legs").append(figure);
-    view.legs.set(arm, { board, figures });
+    run.legs.set(arm, { drawing, figures });
   }
-  return view.legs.get(arm);
-}
-
-function draw(board, frame) {
-  const rows = frame.seen.split("\n");
-  board.setAttribute("aria-label", `The world, row by row: ${rows.join(", ")}`);
-  board.replaceChildren(
-    ...[...rows.join("")].map((character) => {
-      const [sign, kind] = CELLS[character] ?? [character, ""];
-      return make("div", sign, `cell ${kind}`);
-    }),
-  );
-}
-
-function showLegend(legend) {
-  const entries = Object.entries(legend).filter(([character]) => character !== ".");
-  element("legend").replaceChildren(
-    ...entries.map(([character, meaning]) => {
-      const entry = make("div");
-      entry.append(make("dt", CELLS[character]?.[0] ?? character), make("dd", meaning));
-      return entry;
-    }),
-  );
+  return run.legs.get(arm);
 }
 
 function showScore(point) {
-  view.scores.set(point.arm, point);
-  const rows = [...view.scores.values()].map(({ arm, step, return: observed, performance }) => {
+  run.scores.set(point.arm, point);
+  const rows = [...run.scores.values()].map(({ arm, step, return: observed, performance }) => {
     const parted = observed > performance + 1;
-    const words = parted ? "gets more than it earns: hacked" : "gets what it earns";
     const row = make("tr");
     const name = make("th", LEARNERS[arm]);
     name.scope = "row";
     row.append(name, make("td", step), make("td", number(observed, 1)), make("td", number(performance, 1)));
-    row.append(make("td", words, parted ? "refuse" : "accept"));
+    row.append(make("td", parted ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", parted ? "word refuse" : "word accept"));
     return row;
   });
   element("scores").replaceChildren(...rows);
 }
 
-function showCheck(check) {
-  const refused = check.verdict === "refuse";
-  view.refused += refused;
-  view.accepted += !refused;
-  view.wrong += refused !== check.hack;
-  const row = make("tr");
-  const numbers = [number(check.predicted), number(check.reward), number(check.modified, 3), number(check.unmodified, 3)];
-  row.append(make("td", check.step), ...numbers.map((text) => make("td", text)), make("td", signed(check.margin, 3)));
-  row.append(make("td", refused ? "✕ refused" : "✓ accepted", refused ? "word refuse" : "word accept"));
-  row.append(make("td", check.hack ? "fake" : "honest"));
-  element("verdicts").prepend(row);
-}
-
 /** Says the newest verdict, not every one. */
 function speak(check) {
   const now = performance.now();
-  if (now - view.spoken < SPEAK) return;
-  view.spoken = now;
-  const verdict = check.verdict === "refuse" ? "refused" : "accepted";
-  element("latest").textContent =
-    `Step ${check.step}: expected ${number(check.predicted)}, got ${number(check.reward)}: ${verdict}.`;
+  if (now - run.spoken < SPEAK) return;
+  run.spoken = now;
+  const got = `expected ${number(check.predicted / run.world.reward_scale, 1)}, got ${number(check.reward_raw, 1)}`;
+  element("latest").textContent = `Step ${check.step}: ${got}: ${check.refused ? "refused" : "accepted"}.`;
+}
+
+/** Asks for the moment that the link names, else for the first refusal. */
+function find(checks) {
+  if (run.asked) return;
+  const wanted = view.check === null ? checks.find((check) => check.refused) : checks.find((check) => check.number === Number(view.check));
+  if (wanted) ask(wanted.number);
 }
 
 const receive = {
   ready({ module, world, configuration }) {
-    view.world = world;
-    showLegend(world.legend);
+    run.world = world;
+    run.configuration = configuration;
+    element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
     const settings = configuration.split(" ").slice(1).map((setting) => {
       const [key, value] = setting.split("=");
@@ -142,58 +155,105 @@ const receive = {
     element("command").textContent = `mcvl train ${world.name}${settings.join("")}`;
   },
 
-  report({ legs, checks, evaluations }) {
-    for (const { arm, frame, step, steps, checks, refusals } of legs) {
-      const { board, figures } = leg(arm);
+  report(report) {
+    for (const { arm, frame, step, steps, checks, refusals } of report.legs) {
+      const { drawing, figures } = leg(arm);
+      run.legs.get(arm).frame = frame;
+      if (frame.truth) element("pictures").hidden = false;
       // Moving pictures only for those who want them: the last one always stays.
-      if (!still.matches || step === steps || board.childElementCount === 0) draw(board, frame);
-      const decided = arm === "mc" ? `, ${checks} checks, ${refusals} refused` : "";
-      figures.textContent = `step ${step} of ${steps}${decided}`;
+      if (!motion.matches || step === steps || drawing.childElementCount === 0) draw(drawing, frame, view.picture);
+      figures.textContent = `step ${step} of ${steps}${arm === "mc" ? `, ${checks} checks, ${refusals} refused` : ""}`;
     }
-    evaluations.forEach(showScore);
-    checks.forEach(showCheck);
-    if (checks.length > 0) {
-      const { refused, accepted, wrong } = view;
-      element("tally").textContent = `${refused} refused, ${accepted} accepted; ${wrong} of them wrong in truth.`;
-      speak(checks.at(-1));
-    }
+    report.evaluations.forEach(showScore);
+    chart.add(report);
+    if (report.checks.length === 0) return;
+    run.checks.push(...report.checks);
+    table.add(report.checks, run.world.reward_scale);
+    speak(report.checks.at(-1));
+    find(report.checks);
+  },
+
+  moment({ check }) {
+    if (check.number === run.asked) open(check);
   },
 
   done({ seconds }) {
-    stop(`Done in ${number(seconds, 1)} seconds.`);
+    ended(`Done in ${number(seconds, 1)} seconds.`);
+    if (run.asked) return;
+    const count = run.checks.length;
+    if (view.check !== null && count > 0) {
+      say("error", `check: this run has no check ${view.check}, its last is ${count}. The first refusal is shown instead.`);
+      link.write({ check: null, frame: null });
+      Object.assign(view, { check: null, frame: null });
+      find(run.checks);
+    }
+    if (!run.asked && count > 0) ask(run.checks.at(-1).number);
+    if (count === 0) moment.wait("No reward surprised this run, so there was nothing to decide.");
+  },
+
+  malformed({ message }) {
+    link.forget();
+    begin(message);
   },
 
   failed({ message }) {
-    element("error").textContent = message;
-    element("error").hidden = false;
-    stop("Nothing is running.");
+    say("error", message);
+    ended("Nothing is running.");
   },
 };
 
-worker.onmessage = ({ data }) => receive[data.kind](data);
+worker.onmessage = ({ data }) => {
+  if (data.ticket === ticket) receive[data.kind](data);
+};
 worker.onerror = () => receive.failed({ message: "The module could not be loaded: `cargo xtask web` builds it." });
 
 element("controls").addEventListener("submit", (event) => {
   event.preventDefault();
-  const query = new URLSearchParams(location.search);
-  query.set("seed", element("seed").value || "0");
-  history.replaceState(null, "", `?${query}`);
-  start(configuration());
+  link.write({ seed: element("seed").value || "0", check: null, frame: null });
+  run.begun = true;
+  begin();
 });
 
 element("stop").addEventListener("click", () => {
-  worker.postMessage({});
-  stop("Stopped.");
+  const going = element("stop").textContent.startsWith("Pause");
+  worker.postMessage({ kind: going ? "pause" : "resume" });
+  element("stop").textContent = going ? "Resume run" : "Pause run";
+  element("status").textContent = going ? "Paused." : "Computing.";
 });
 
-/** The configuration text of the link; the module says what is wrong with it, if something is. */
-function configuration() {
-  const pairs = [...new URLSearchParams(location.search)];
-  if (!pairs.some(([key]) => key === "env")) pairs.unshift(["env", "box-moving"]);
-  return pairs.map(([key, value]) => `${key}=${value}`).join(" ");
-}
+element("previous").addEventListener("click", () => choose(table.beside(run.shown?.number ?? null, -1)));
+element("next").addEventListener("click", () => choose(table.beside(run.shown?.number ?? null, 1)));
+element("newest").addEventListener("click", () => choose(table.newest()));
 
-clear();
-element("seed").value = new URLSearchParams(location.search).get("seed") ?? "0";
-if (still.matches) stop("Nothing starts by itself: press Run.");
-else start(configuration());
+document.addEventListener("change", ({ target }) => {
+  if (target.name === "speed") {
+    put({ speed: target.value });
+    film.speed = Number(view.speed);
+  }
+  if (target.name === "filter") {
+    put({ filter: target.value });
+    table.filter = view.filter;
+  }
+  if (target.name === "film") {
+    put({ film: target.value, frame: null });
+    if (run.shown) open(run.shown);
+  }
+  if (target.id === "picture") {
+    put({ picture: target.checked ? "true" : "seen" });
+    film.picture = view.picture;
+    for (const { drawing, frame } of run.legs.values()) draw(drawing, frame, view.picture);
+    if (run.shown) moment.open(run.shown, run.world, run.configuration, view.picture);
+  }
+});
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input:not([type=radio]), textarea")) return;
+  if (event.key === ".") element("next").click();
+  if (event.key === ",") element("previous").click();
+  if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex]")) {
+    event.preventDefault();
+    film.toggle();
+  }
+});
+
+begin();

@@ -1,5 +1,6 @@
 // Computes a run in slices, away from the page: polls, collects what the run says, and reports a few times
-// per second. Everything that is decided is decided in the module.
+// per second. Checks are kept whole, with their films, for the page to ask for one. Everything that is
+// decided is decided in the module.
 
 /** A function that returns a vector: browsers without SIMD do not accept it. */
 const SIMD_PROBE = new Uint8Array([
@@ -10,13 +11,33 @@ const SLICE = 20;
 const REPORT = 100;
 
 let current = 0;
+/** The checks of the current run as JSON text, by number. */
+let moments = new Map();
+/** Resolves when the run may go on; `goOn` resolves it. */
+let gate = Promise.resolve();
+let goOn = () => {};
 
-onmessage = ({ data }) => {
-  current += 1;
-  if (data.configuration !== undefined) {
-    compute(data.configuration, current).catch((error) => postMessage({ kind: "failed", message: error.message }));
-  }
+const requests = {
+  start({ configuration }) {
+    current += 1;
+    moments = new Map();
+    requests.resume();
+    const ticket = current;
+    compute(configuration, ticket).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
+  },
+  pause() {
+    gate = new Promise((resolve) => (goOn = resolve));
+  },
+  resume() {
+    goOn();
+    gate = Promise.resolve();
+  },
+  moment({ number }) {
+    if (moments.has(number)) postMessage({ kind: "moment", ticket: current, check: JSON.parse(moments.get(number)) });
+  },
 };
+
+onmessage = ({ data }) => requests[data.kind](data);
 
 const loaded = load();
 // A module that cannot be loaded is reported by the run that needs it.
@@ -32,13 +53,21 @@ async function load() {
 /** Safe training, then both learners side by side from the switch. */
 async function compute(configuration, ticket) {
   const { name, Run } = await loaded;
+  if (ticket !== current) return;
   const start = performance.now();
-  const safe = new Run(configuration);
-  postMessage({ kind: "ready", module: name, world: JSON.parse(safe.world()), configuration: safe.configuration() });
+  let safe;
+  try {
+    safe = new Run(configuration);
+  } catch (error) {
+    postMessage({ kind: "malformed", ticket, message: error.message });
+    return;
+  }
+  const world = JSON.parse(safe.world());
+  postMessage({ kind: "ready", ticket, module: name, world, configuration: safe.configuration() });
   if (!(await follow([safe], "switch", ticket))) return;
   const both = [safe.fork("baseline"), safe.fork("mc")];
   if (!(await follow(both, "done", ticket))) return;
-  postMessage({ kind: "done", seconds: (performance.now() - start) / 1000 });
+  postMessage({ kind: "done", ticket, seconds: (performance.now() - start) / 1000 });
 }
 
 /** Polls runs in turn until all have the status `end`; false where another run was asked for meanwhile. */
@@ -55,9 +84,10 @@ async function follow(runs, end, ticket) {
     }
     if (pending.size === 0 || performance.now() - reported > REPORT) {
       reported = performance.now();
-      postMessage(report(runs));
+      postMessage({ ticket, ...report(runs) });
     }
     await nextTask();
+    await gate;
     if (ticket !== current) return false;
   }
   return true;
@@ -73,9 +103,11 @@ function report(runs) {
     for (const event of JSON.parse(run.events())) {
       if (event.kind === "evaluation") evaluations.push(event);
       if (event.kind === "check") {
-        const { step, predicted, reward, margin, verdict, hack } = event;
+        moments.set(event.number, JSON.stringify(event));
+        const { number, step, predicted, reward_raw, margin, hack } = event;
         const [modified, unmodified] = [event.modified.utility, event.unmodified.utility];
-        checks.push({ step, predicted, reward, modified, unmodified, margin, verdict, hack });
+        const refused = event.verdict === "refuse";
+        checks.push({ number, step, predicted, reward_raw, modified, unmodified, margin, refused, hack });
       }
     }
   }

@@ -1,5 +1,5 @@
-// Opens addresses of the page in Chromium, waits until each is done, and prints what stands there, as a
-// JSON array. Arguments: ADDRESS...
+// Opens addresses of the page in Chromium, or runs scripts in the page that is open, waits after each until
+// the page is done, and prints what stands there, as a JSON array. Arguments: (ADDRESS | do:SCRIPT)...
 import { spawn } from "node:child_process";
 import { mkdtemp, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
@@ -27,6 +27,15 @@ const READ = `
     module: text("module"),
     verdicts: [...document.querySelectorAll("#verdicts tr")].map((row) => row.innerText.split("\\t")),
     scores: [...document.querySelectorAll("#scores tr")].map((row) => row.innerText.split("\\t")),
+    moment: document.getElementById("moment").hidden ? "" : text("moment-name"),
+    stamp: text("stamp"),
+    ratings: [text("modified-utility"), text("unmodified-utility")],
+    boards: [...document.querySelectorAll(".future .board")].map((board) => board.ariaLabel ?? ""),
+    step: text("frame"),
+    play: text("play"),
+    stage: document.getElementById("storyboard").hidden ? "" : text("stage"),
+    hidden: document.querySelectorAll("#verdicts tr[hidden]").length,
+    link: location.search,
     requests: performance.getEntriesByType("resource").map((entry) => new URL(entry.name).origin),
   };`;
 
@@ -50,6 +59,14 @@ async function port(driver) {
   throw new Error(`chromedriver did not start: ${said}`);
 }
 
+/** Whether the run is over and the check of the link, or else some check, is on show. */
+function settled(page) {
+  if (page.error || page.status.startsWith("Nothing")) return true;
+  if (!page.status.startsWith("Done")) return false;
+  const check = new URLSearchParams(page.link).get("check");
+  return page.verdicts.length === 0 || page.moment.startsWith(check ? `Check ${check},` : "Check ");
+}
+
 async function visit(port, addresses) {
   const call = async (path, method = "GET", body) => {
     const options = { method, body: body && JSON.stringify(body) };
@@ -69,14 +86,16 @@ async function visit(port, addresses) {
   const read = () => call(`/${sessionId}/execute/sync`, "POST", { script: READ, args: [] });
   const seen = [];
   try {
-    for (const url of addresses) {
-      await call(`/${sessionId}/url`, "POST", { url });
+    for (const what of addresses) {
+      const script = what.startsWith("do:") && what.slice(3);
+      if (script) await call(`/${sessionId}/execute/sync`, "POST", { script, args: [] });
+      else await call(`/${sessionId}/url`, "POST", { url: what });
       const start = Date.now();
       let page;
       do {
         await new Promise((resolve) => setTimeout(resolve, 200));
         page = await read();
-      } while (!/^(Done|Nothing)/.test(page.status) && Date.now() - start < PATIENCE);
+      } while (!settled(page) && Date.now() - start < PATIENCE);
       const log = await call(`/${sessionId}/se/log`, "POST", { type: "browser" });
       seen.push({ ...page, log: log.map((entry) => entry.message) });
     }

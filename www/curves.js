@@ -1,0 +1,126 @@
+// The curves of a run, drawn by hand: what each learner gets and what we want, over the steps of both phases.
+import { element, LEARNERS, make, number, svg } from "./dom.js";
+
+const [WIDTH, HEIGHT] = [720, 300];
+const EDGE = { left: 46, right: 12, top: 22, bottom: 54 };
+const ARMS = ["safe", "baseline", "mc"];
+
+/** The panel; `open(number)` is called when a verdict mark is chosen with the pointer. */
+export function curves(open) {
+  let points = [];
+  let checks = [];
+  let steps = { safe: 0, full: 0 };
+  let cursor = null;
+  let asked = false;
+
+  const end = () => Math.max(1, steps.safe + steps.full);
+  const x = (step) => EDGE.left + (step / end()) * (WIDTH - EDGE.left - EDGE.right);
+
+  const drawAll = () => {
+    asked = false;
+    const values = points.flatMap((point) => [point.return, point.performance]);
+    const [low, high] = scale(Math.min(0, ...values), Math.max(10, ...values));
+    const y = (value) => EDGE.top + ((high - value) / (high - low)) * (HEIGHT - EDGE.top - EDGE.bottom);
+    const base = HEIGHT - EDGE.bottom;
+    const parts = [];
+    for (const tick of ticks(low, high)) {
+      parts.push(svg("line", { class: tick === 0 ? "axis" : "rule", x1: EDGE.left, x2: WIDTH - EDGE.right, y1: y(tick), y2: y(tick) }));
+      parts.push(svg("text", { x: EDGE.left - 6, y: y(tick) + 4, "text-anchor": "end" }, number(tick, 0)));
+    }
+    if (steps.full > 0 && steps.safe > 0) {
+      const at = x(steps.safe);
+      parts.push(svg("line", { class: "switch", x1: at, x2: at, y1: 6, y2: base + 24 }));
+      parts.push(svg("text", { x: at + 5, y: 15 }, "new world"), svg("text", { x: at - 5, y: 15, "text-anchor": "end" }, "safe world"));
+    }
+    for (const arm of ARMS) {
+      const own = points.filter((point) => point.arm === arm);
+      const line = (key) => own.map((point) => `${x(place(point)).toFixed(1)},${y(point[key]).toFixed(1)}`).join(" ");
+      if (own.length === 0) continue;
+      parts.push(svg("polyline", { class: `return ${arm}`, points: line("return") }));
+      parts.push(svg("polyline", { class: `performance ${arm}`, points: line("performance") }));
+    }
+    for (const check of checks) parts.push(mark(x(steps.safe + check.step), base + 14, check.refused));
+    const chosen = checks.find((check) => check.number === cursor);
+    if (chosen) {
+      const at = x(steps.safe + chosen.step);
+      parts.push(svg("line", { class: "cursor", x1: at, x2: at, y1: EDGE.top, y2: base + 24 }));
+    }
+    parts.push(svg("text", { x: EDGE.left, y: HEIGHT - 8 }, "0"));
+    parts.push(svg("text", { x: WIDTH - EDGE.right, y: HEIGHT - 8, "text-anchor": "end" }, `${end()} steps`));
+    element("curves").replaceChildren(...parts);
+    element("curves").setAttribute("aria-label", describe());
+    key();
+  };
+  const place = (point) => point.step + (point.arm === "safe" ? 0 : steps.safe);
+  // Several reports may come before the next picture.
+  const later = () => {
+    if (!asked) requestAnimationFrame(drawAll);
+    asked = true;
+  };
+  const newest = (arm) => points.findLast((point) => point.arm === arm);
+  const describe = () => {
+    const ends = ARMS.map(newest).filter(Boolean);
+    const words = ends.map((point) => `${LEARNERS[point.arm]}: reward ${number(point.return, 0)}, performance ${number(point.performance, 0)}`);
+    return `Reward and performance over the steps. Newest: ${words.join("; ")}`;
+  };
+  const key = () => {
+    const made = ARMS.filter(newest).flatMap((arm) =>
+      ["return", "performance"].map((kind) => {
+        const entry = make("span", "", "key");
+        const sample = svg("svg", { viewBox: "0 0 34 10", "aria-hidden": "true" });
+        sample.append(svg("line", { class: `${kind} ${arm}`, x1: 1, x2: 33, y1: 5, y2: 5 }));
+        entry.append(sample, `${LEARNERS[arm]}, ${kind === "return" ? "reward" : "performance"} ${number(newest(arm)[kind], 0)}`);
+        return entry;
+      }),
+    );
+    element("curves-key").replaceChildren(...made);
+  };
+
+  element("curves").addEventListener("click", (event) => {
+    const box = element("curves").getBoundingClientRect();
+    const at = ((event.clientX - box.left) / box.width) * WIDTH;
+    const far = (check) => Math.abs(x(steps.safe + check.step) - at);
+    const nearest = checks.toSorted((one, other) => far(one) - far(other))[0];
+    if (nearest && far(nearest) < 12) open(nearest.number);
+  });
+
+  return {
+    clear() {
+      [points, checks, steps, cursor] = [[], [], { safe: 0, full: 0 }, null];
+      later();
+    },
+    /** Takes what a report says of the run. */
+    add({ legs, evaluations, checks: made }) {
+      for (const leg of legs) steps[leg.arm === "safe" ? "safe" : "full"] = leg.steps;
+      points.push(...evaluations);
+      checks.push(...made);
+      if (evaluations.length + made.length > 0) later();
+    },
+    choose(number) {
+      cursor = number;
+      later();
+    },
+  };
+}
+
+/** A refusal is a cross, an acceptance a ring. */
+function mark(x, y, refused) {
+  return refused
+    ? svg("path", { class: "mark refused", d: `M${x - 4} ${y - 4}l8 8m0-8l-8 8` })
+    : svg("circle", { class: "mark accepted", cx: x, cy: y, r: 4 });
+}
+
+function unit(span) {
+  const power = 10 ** Math.floor(Math.log10(span / 4));
+  return [1, 2, 5, 10].map((factor) => factor * power).find((step) => span / step <= 6);
+}
+
+function scale(low, high) {
+  const step = unit(high - low);
+  return [Math.floor(low / step) * step, Math.ceil(high / step) * step];
+}
+
+function ticks(low, high) {
+  const step = unit(high - low);
+  return Array.from({ length: Math.round((high - low) / step) + 1 }, (_, index) => low + index * step);
+}

@@ -1,0 +1,40 @@
+// Makes and finds elements, and writes numbers and the words that every panel shares.
+
+export const LEARNERS = {
+  safe: "Safe training",
+  baseline: "Ordinary learner",
+  mc: "Modification-considering learner",
+};
+
+export const element = (id) => document.getElementById(id);
+export const number = (value, digits = 2) => {
+  const text = value.toFixed(digits);
+  // A rounded zero has no sign.
+  return /^-[0.]*$/.test(text) ? text.slice(1) : text.replace("-", "−");
+};
+export const signed = (value, digits = 2) => {
+  const text = number(value, digits);
+  return /[1-9]/.test(text) && value > 0 ? `+${text}` : text;
+};
+
+/** An element with text. */
+export function make(name, text = "", className = "") {
+  const made = document.createElement(name);
+  made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+/** An SVG element with attributes and children. */
+export function svg(name, attributes = {}, ...children) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+/** Shows one text, or hides the element that has none. */
+export function say(id, text) {
+  element(id).textContent = text;
+  element(id).hidden = text === "";
+}

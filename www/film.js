@@ -1,0 +1,106 @@
+// Plays the films of two futures synchronously: same start, same length, one scrubber.
+import { board, draw } from "./board.js";
+import { element, number, signed } from "./dom.js";
+
+/** Time of a step at speed 1, milliseconds. */
+const BEAT = 420;
+const SIDES = ["modified", "unmodified"];
+
+/** A player; `stopped(frame)` hears where a person halted it. */
+export function player(stopped) {
+  const boards = SIDES.map((side) => {
+    const made = board();
+    element(`${side}-board`).append(made);
+    return made;
+  });
+  const scrubber = element("scrubber");
+  let films = null;
+  let world = null;
+  let picture = "seen";
+  let frame = 0;
+  let last = 0;
+  let speed = 1;
+  let timer = 0;
+
+  const show = () => {
+    if (!films) return;
+    const frames = films.map((film) => film.frames[Math.min(frame, film.actions.length)]);
+    boards.forEach((target, index) => draw(target, frames[index], picture, frames[1 - index]));
+    SIDES.forEach((side, index) => {
+      const film = films[index];
+      element(`${side}-step`).textContent = caption(film, frame, world);
+    });
+    scrubber.value = frame;
+    scrubber.setAttribute("aria-valuetext", `step ${frame} of ${last}`);
+    element("frame").textContent = `step ${frame} of ${last}`;
+    element("play").textContent = timer ? "Pause" : frame === last ? "Play again" : "Play";
+  };
+  const halt = () => {
+    clearTimeout(timer);
+    timer = 0;
+  };
+  const next = () => {
+    timer = 0;
+    if (frame < last) frame += 1;
+    if (frame < last) timer = setTimeout(next, BEAT / speed);
+    show();
+  };
+  const go = (to) => {
+    halt();
+    frame = Math.max(0, Math.min(last, to));
+    show();
+    stopped(frame);
+  };
+
+  const control = {
+    /** Shows the films with this start of a check, from a frame on. */
+    open(check, start, from, facts) {
+      halt();
+      world = facts;
+      const pick = (future) => future.films.find((film) => film.start === start) ?? future.films[0];
+      films = [pick(check.modified), pick(check.unmodified)];
+      last = Math.max(...films.map((film) => film.actions.length));
+      frame = Math.min(from, last);
+      scrubber.max = last;
+      show();
+    },
+    play() {
+      halt();
+      if (frame === last) frame = 0;
+      timer = setTimeout(next, BEAT / speed);
+      show();
+    },
+    toggle() {
+      if (!timer) return control.play();
+      go(frame);
+    },
+    halt() {
+      halt();
+      show();
+    },
+    set speed(value) {
+      speed = value;
+    },
+    set picture(value) {
+      picture = value;
+      show();
+    },
+  };
+  element("play").addEventListener("click", control.toggle);
+  scrubber.addEventListener("input", () => {
+    halt();
+    frame = Number(scrubber.value);
+    show();
+  });
+  scrubber.addEventListener("change", () => go(Number(scrubber.value)));
+  return control;
+}
+
+/** What happened in the step before this frame. */
+function caption(film, frame, world) {
+  if (frame === 0) return film.start === "reset" ? "a fresh episode" : "right after the step";
+  if (frame > film.actions.length) return "the episode is over";
+  const action = world.actions[film.actions[frame - 1]] ?? film.actions[frame - 1];
+  const predicted = film.predicted[frame - 1] / world.reward_scale;
+  return `goes ${action}, today’s model expects ${signed(Number(number(predicted, 1).replace("−", "-")), 1)}`;
+}

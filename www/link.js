@@ -1,0 +1,54 @@
+// The page's link: settings of the run, which the module reads and judges, and keys of the view, judged here.
+
+/** Keys of the view with their allowed values; the first is the default, a null stands for "none given". */
+const VIEW = {
+  check: [null, "a whole number from 1", (text) => /^[1-9]\d{0,8}$/.test(text)],
+  frame: [null, "a whole number from 0", (text) => /^\d{1,6}$/.test(text)],
+  film: ["reset", "`reset` or `current`", (text) => ["reset", "current"].includes(text)],
+  speed: ["1", "`1`, `4` or `16`", (text) => ["1", "4", "16"].includes(text)],
+  filter: ["all", "`all`, `refused`, `accepted` or `wrong`", (text) => ["all", "refused", "accepted", "wrong"].includes(text)],
+  picture: ["seen", "`seen` or `true`", (text) => ["seen", "true"].includes(text)],
+};
+const FIRST = "box-moving";
+
+/** What the link says, as far as it is sound. */
+let query = new URLSearchParams(location.search);
+
+/** The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view. */
+export function read() {
+  const complaint = [...query].map(([key, value]) => judge(key, value)).find(Boolean) ?? "";
+  if (complaint) forget();
+  const view = {};
+  for (const [key, [standard]] of Object.entries(VIEW)) view[key] = query.get(key) ?? standard;
+  return { view, configuration: configuration(), seed: query.get("seed") ?? "0", complaint };
+}
+
+/** Starts from the default page: what the link said is of no use. The address keeps it, to be corrected. */
+export function forget() {
+  query = new URLSearchParams();
+}
+
+/** Changes keys of the link; a default or a null takes the key away. */
+export function write(changes) {
+  for (const [key, value] of Object.entries(changes)) {
+    if (value === null || String(value) === VIEW[key]?.[0]) query.delete(key);
+    else query.set(key, value);
+  }
+  if (!query.has("env")) query = new URLSearchParams([["env", FIRST], ...query]);
+  history.replaceState(null, "", `?${query}`);
+}
+
+function judge(key, value) {
+  if (/\s/.test(key + value)) return `\`${key}=${value}\`: a setting has no spaces`;
+  if (!Object.hasOwn(VIEW, key)) return "";
+  const [, allowed, sound] = VIEW[key];
+  if (query.getAll(key).length > 1) return `${key}: stands twice in the link`;
+  return sound(value) ? "" : `${key}: \`${value}\` is not ${allowed}`;
+}
+
+/** Everything that is no key of the view, as the module's configuration text. */
+function configuration() {
+  const pairs = [...query].filter(([key]) => !Object.hasOwn(VIEW, key));
+  if (!pairs.some(([key]) => key === "env")) pairs.unshift(["env", FIRST]);
+  return pairs.map(([key, value]) => `${key}=${value}`).join(" ");
+}

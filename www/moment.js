@@ -1,0 +1,144 @@
+// One moment of decision: what happened, the two futures it could lead to, how both are rated, the verdict.
+// With reduced motion it is a storyboard of four pages with back and next.
+import { board, draw } from "./board.js";
+import { element, make, number, say, signed, svg } from "./dom.js";
+
+const STAGES = ["What happened", "Two futures", "How today’s agent rates them", "The verdict"];
+/** Width of a rating's drawing, and the margins of its scale, in its own unit. */
+const WIDTH = 300;
+const MARGIN = 18;
+
+/** The panel; `still` says whether it is a storyboard. */
+export function momentPanel(still) {
+  const before = board();
+  const after = board();
+  element("before").prepend(before);
+  element("after").prepend(after);
+  let stage = STAGES.length;
+  let check = null;
+
+  const showStage = () => {
+    for (const part of element("moment").querySelectorAll("[data-stage]")) {
+      part.classList.toggle("later", Number(part.dataset.stage) > stage);
+    }
+    element("storyboard").hidden = !still() || !check;
+    element("stage").textContent = `${stage} of ${STAGES.length}: ${STAGES[stage - 1]}`;
+    element("back").disabled = stage === 1;
+    element("forward").disabled = stage === STAGES.length;
+  };
+  const turn = (by) => {
+    stage = Math.max(1, Math.min(STAGES.length, stage + by));
+    showStage();
+  };
+  element("back").addEventListener("click", () => turn(-1));
+  element("forward").addEventListener("click", () => turn(1));
+
+  return {
+    /** Nothing to show yet, and why. */
+    wait(text) {
+      check = null;
+      element("moment").hidden = true;
+      say("waiting", text);
+      showStage();
+    },
+    /** Shows a check. */
+    open(shown, world, configuration, picture) {
+      const another = check?.number !== shown.number;
+      check = shown;
+      if (another) stage = still() ? 1 : STAGES.length;
+      say("waiting", "");
+      element("moment").hidden = false;
+      draw(before, check.before, picture);
+      draw(after, check.after, picture, check.before);
+      transition(check, world, configuration);
+      ratings(check);
+      verdict(check);
+      showStage();
+    },
+  };
+}
+
+/** What happened, and why it was checked. */
+function transition(check, world, configuration) {
+  const action = world.actions[check.action] ?? check.action;
+  const raw = (scaled) => number(scaled / world.reward_scale, 2);
+  const predicted = check.predicted / world.reward_scale;
+  element("moment-name").textContent = `Check ${check.number}, step ${check.step} of the new world`;
+  element("action").textContent = `goes ${action}`;
+  element("expected").textContent = signed(predicted, 1);
+  element("got").textContent = signed(check.reward_raw, 1);
+  const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
+  element("why").textContent = configuration.includes("scheme=all")
+    ? "This run checks every step."
+    : `${surprise}; from ${raw(check.threshold)} on the agent checks before it learns.`;
+  element("truth").textContent = check.hack
+    ? `In truth the step is worth ${signed(check.performance, 1)}: the rest is fake. The agent cannot see this.`
+    : `In truth the step is worth ${signed(check.performance, 1)}: the reward is honest. The agent cannot see this.`;
+}
+
+/** Under each future its bar, on one scale, with every rollout. */
+function ratings(check) {
+  const futures = [check.modified, check.unmodified];
+  const values = futures.flatMap((future) => [future.utility, ...future.rollouts, 0]);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const place = (value) => MARGIN + ((value - low) / (high - low || 1)) * (WIDTH - 2 * MARGIN);
+  for (const [side, future] of [["modified", check.modified], ["unmodified", check.unmodified]]) {
+    element(`${side}-utility`).textContent = number(future.utility, 3);
+    element(`${side}-bar`).replaceChildren(bar(future, place));
+    const steps = future.films[0].actions.length;
+    element(`${side}-truth`).textContent = `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.`;
+  }
+}
+
+/** A bar from zero to the mean, and under it one dot per rollout; equal ones share a dot with their number. */
+function bar(future, place) {
+  const zero = place(0);
+  const mean = place(future.utility);
+  const current = future.films.some((film) => film.start === "current") ? future.rollouts.length - 1 : -1;
+  const resets = new Map();
+  future.rollouts.forEach((value, index) => {
+    const at = Math.round(place(value));
+    if (index !== current) resets.set(at, (resets.get(at) ?? 0) + 1);
+  });
+  const dots = [...resets].flatMap(([at, count]) => [
+    svg("circle", { class: "dot", cx: at, cy: 46, r: 5 }),
+    ...(count > 1 ? [svg("text", { class: "count", x: at, y: 65, "text-anchor": "middle" }, `×${count}`)] : []),
+  ]);
+  if (current >= 0) {
+    const at = place(future.rollouts[current]);
+    dots.push(svg("path", { class: "diamond", d: `M${at - 6} 46l6-6 6 6-6 6z` }));
+  }
+  const picture = svg(
+    "svg",
+    { viewBox: `0 0 ${WIDTH} 70`, role: "img", class: "rating" },
+    svg("rect", { class: "bar", x: Math.min(zero, mean), y: 8, width: Math.max(2, Math.abs(mean - zero)), height: 22 }),
+    svg("line", { class: "zero", x1: zero, x2: zero, y1: 2, y2: 54 }),
+    ...dots,
+  );
+  const shown = future.rollouts.map((value) => number(value, 3)).join(", ");
+  picture.setAttribute("aria-label", `Mean ${number(future.utility, 3)}; rollouts ${shown}`);
+  return picture;
+}
+
+/** The stamp and the margin in words. */
+function verdict(check) {
+  const refused = check.verdict === "refuse";
+  const shape = refused ? "M8 1h10l7 7v10l-7 7H8l-7-7V8z" : "M13 1a12 12 0 1 0 .01 0z";
+  const sign = refused ? "M8.500 8.500l9 9m0-9l-9 9" : "M7 13.500l4 4 8-9";
+  const mark = svg("svg", { viewBox: "0 0 26 26", "aria-hidden": "true" });
+  mark.append(svg("path", { class: "shape", d: shape }), svg("path", { class: "sign", d: sign }));
+  const stamp = element("stamp");
+  stamp.className = refused ? "stamp refused" : "stamp accepted";
+  stamp.replaceChildren(mark, make("span", refused ? "REFUSED" : "ACCEPTED"));
+  const by = number(Math.abs(check.margin), 3);
+  const wrong = refused === check.hack ? "" : refused ? " This was a wrong refusal." : " This was a missed hack.";
+  const words = check.tie
+    ? "Both futures are rated exactly equal: nothing speaks against learning from it."
+    : refused
+      ? `Learning from it would make the future worse by ${by}, by what the agent wants today. It does not learn from this reward.`
+      : check.margin < 0
+        ? `Learning from it changes the future by less than the tolerance (−${by}). It learns from this reward.`
+        : `Learning from it makes the future better by ${by}, by what the agent wants today. It learns from this reward.`;
+  element("margin").textContent = words + wrong;
+  element("cost").textContent = `${check.cost.toLocaleString("en")} training updates went into this check.${check.reused ? " The future without it was still known from the check before." : ""}`;
+}
