@@ -1,7 +1,7 @@
 // The curves of a run, drawn by hand: what each learner gets and what we want, over the steps of both phases.
-import { element, LEARNERS, make, number, svg } from "./dom.js";
+import { element, LEARNERS, make, narrow, number, svg } from "./dom.js";
 
-const [WIDTH, HEIGHT] = [720, 300];
+const HEIGHT = 300;
 const EDGE = { left: 46, right: 12, top: 22, bottom: 54 };
 const ARMS = ["safe", "baseline", "mc"];
 
@@ -13,24 +13,29 @@ export function curves(open) {
   let cursor = null;
   let asked = false;
 
+  let width = 0;
   const end = () => Math.max(1, steps.safe + steps.full);
-  const x = (step) => EDGE.left + (step / end()) * (WIDTH - EDGE.left - EDGE.right);
+  const x = (step) => EDGE.left + (step / end()) * (width - EDGE.left - EDGE.right);
 
   const drawAll = () => {
     asked = false;
+    width = narrow.matches ? 380 : 720;
+    element("curves").setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
     const values = points.flatMap((point) => [point.return, point.performance]);
     const [low, high] = scale(Math.min(0, ...values), Math.max(10, ...values));
     const y = (value) => EDGE.top + ((high - value) / (high - low)) * (HEIGHT - EDGE.top - EDGE.bottom);
     const base = HEIGHT - EDGE.bottom;
     const parts = [];
     for (const tick of ticks(low, high)) {
-      parts.push(svg("line", { class: tick === 0 ? "axis" : "rule", x1: EDGE.left, x2: WIDTH - EDGE.right, y1: y(tick), y2: y(tick) }));
+      parts.push(svg("line", { class: tick === 0 ? "axis" : "rule", x1: EDGE.left, x2: width - EDGE.right, y1: y(tick), y2: y(tick) }));
       parts.push(svg("text", { x: EDGE.left - 6, y: y(tick) + 4, "text-anchor": "end" }, number(tick, 0)));
     }
     if (steps.full > 0 && steps.safe > 0) {
       const at = x(steps.safe);
       parts.push(svg("line", { class: "switch", x1: at, x2: at, y1: 6, y2: base + 24 }));
-      parts.push(svg("text", { x: at + 5, y: 15 }, "new world"), svg("text", { x: at - 5, y: 15, "text-anchor": "end" }, "safe world"));
+      const cramped = at + 70 > width;
+      const before = svg("text", { x: at - 5, y: 15, "text-anchor": "end" }, cramped ? "the new world begins" : "safe world");
+      parts.push(before, ...(cramped ? [] : [svg("text", { x: at + 5, y: 15 }, "new world")]));
     }
     for (const arm of ARMS) {
       const own = points.filter((point) => point.arm === arm);
@@ -46,7 +51,7 @@ export function curves(open) {
       parts.push(svg("line", { class: "cursor", x1: at, x2: at, y1: EDGE.top, y2: base + 24 }));
     }
     parts.push(svg("text", { x: EDGE.left, y: HEIGHT - 8 }, "0"));
-    parts.push(svg("text", { x: WIDTH - EDGE.right, y: HEIGHT - 8, "text-anchor": "end" }, `${end()} steps`));
+    parts.push(svg("text", { x: width - EDGE.right, y: HEIGHT - 8, "text-anchor": "end" }, `${end()} steps`));
     element("curves").replaceChildren(...parts);
     element("curves").setAttribute("aria-label", describe());
     key();
@@ -78,11 +83,13 @@ export function curves(open) {
 
   element("curves").addEventListener("click", (event) => {
     const box = element("curves").getBoundingClientRect();
-    const at = ((event.clientX - box.left) / box.width) * WIDTH;
+    const at = ((event.clientX - box.left) / box.width) * width;
     const far = (check) => Math.abs(x(steps.safe + check.step) - at);
     const nearest = checks.toSorted((one, other) => far(one) - far(other))[0];
     if (nearest && far(nearest) < 12) open(nearest.number);
   });
+
+  narrow.addEventListener("change", later);
 
   return {
     clear() {

@@ -6,6 +6,8 @@ export const LEARNERS = {
   mc: "Modification-considering learner",
 };
 
+/** Whether drawings have the width of a phone. */
+export const narrow = matchMedia("(max-width: 40rem)");
 export const element = (id) => document.getElementById(id);
 export const number = (value, digits = 2) => {
   const text = value.toFixed(digits);

@@ -1,11 +1,10 @@
 // One moment of decision: what happened, the two futures it could lead to, how both are rated, the verdict.
 // With reduced motion it is a storyboard of four pages with back and next.
 import { board, draw } from "./board.js";
-import { element, make, number, say, signed, svg } from "./dom.js";
+import { element, make, narrow, number, say, signed, svg } from "./dom.js";
 
 const STAGES = ["What happened", "Two futures", "How today’s agent rates them", "The verdict"];
-/** Width of a rating's drawing, and the margins of its scale, in its own unit. */
-const WIDTH = 300;
+/** Margins of a rating's scale, in the unit of its drawing. */
 const MARGIN = 18;
 
 /** The panel; `still` says whether it is a storyboard. */
@@ -81,17 +80,18 @@ function ratings(check) {
   const futures = [check.modified, check.unmodified];
   const values = futures.flatMap((future) => [future.utility, ...future.rollouts, 0]);
   const [low, high] = [Math.min(...values), Math.max(...values)];
-  const place = (value) => MARGIN + ((value - low) / (high - low || 1)) * (WIDTH - 2 * MARGIN);
+  const width = narrow.matches ? 150 : 300;
+  const place = (value) => MARGIN + ((value - low) / (high - low || 1)) * (width - 2 * MARGIN);
   for (const [side, future] of [["modified", check.modified], ["unmodified", check.unmodified]]) {
     element(`${side}-utility`).textContent = number(future.utility, 3);
-    element(`${side}-bar`).replaceChildren(bar(future, place));
+    element(`${side}-bar`).replaceChildren(bar(future, place, width));
     const steps = future.films[0].actions.length;
     element(`${side}-truth`).textContent = `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.`;
   }
 }
 
 /** A bar from zero to the mean, and under it one dot per rollout; equal ones share a dot with their number. */
-function bar(future, place) {
+function bar(future, place, width) {
   const zero = place(0);
   const mean = place(future.utility);
   const current = future.films.some((film) => film.start === "current") ? future.rollouts.length - 1 : -1;
@@ -110,7 +110,7 @@ function bar(future, place) {
   }
   const picture = svg(
     "svg",
-    { viewBox: `0 0 ${WIDTH} 70`, role: "img", class: "rating" },
+    { viewBox: `0 0 ${width} 70`, role: "img", class: "rating" },
     svg("rect", { class: "bar", x: Math.min(zero, mean), y: 8, width: Math.max(2, Math.abs(mean - zero)), height: 22 }),
     svg("line", { class: "zero", x1: zero, x2: zero, y1: 2, y2: 54 }),
     ...dots,

@@ -148,11 +148,12 @@ const receive = {
     run.configuration = configuration;
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
-    const settings = configuration.split(" ").slice(1).map((setting) => {
+    const [name, ...rest] = configuration.split(" ");
+    const settings = rest.map((setting) => {
       const [key, value] = setting.split("=");
       return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
     });
-    element("command").textContent = `mcvl train ${world.name}${settings.join("")}`;
+    element("command").textContent = `mcvl train ${name.slice(4)}${settings.join("")}`;
   },
 
   report(report) {
@@ -221,8 +222,9 @@ element("stop").addEventListener("click", () => {
   element("status").textContent = going ? "Paused." : "Computing.";
 });
 
-element("previous").addEventListener("click", () => choose(table.beside(run.shown?.number ?? null, -1)));
-element("next").addEventListener("click", () => choose(table.beside(run.shown?.number ?? null, 1)));
+element("previous").addEventListener("click", () => choose(table.beside(run.asked ?? null, -1)));
+element("next").addEventListener("click", () => choose(table.beside(run.asked ?? null, 1)));
+element("oldest").addEventListener("click", () => choose(run.checks.find((check) => check.refused)?.number ?? null));
 element("newest").addEventListener("click", () => choose(table.newest()));
 
 document.addEventListener("change", ({ target }) => {
