@@ -20,6 +20,11 @@ use core::str::FromStr;
 
 use crate::experiment::{self, Experiment};
 
+/// Most weights between hidden layers: some 16 times the largest network of the paper.
+const MOST_PARAMETERS: u64 = 2_000_000;
+/// Most hidden activations of one batch.
+const MOST_ACTIVATIONS: u64 = 20_000_000;
+
 /// A setting that is not as it should be: which, and what to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigError {
@@ -383,6 +388,44 @@ impl Config {
         Ok(())
     }
 
+    /// Checks what no setting can check alone, and every range once more.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range or does not go with another one.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        if let Some(key) = KEYS.iter().find(|key| !(key.allowed)(self)) {
+            let (value, range) = (key.value(self), key.range);
+            return Err(ConfigError::new(
+                key.name,
+                format!("{}: `{value}` is out of range (allowed: {range})", key.name),
+            ));
+        }
+        if self.replay < self.batch {
+            let (replay, batch) = (self.replay, self.batch);
+            return Err(ConfigError::new(
+                "replay",
+                format!("replay: {replay} transitions never fill a batch of {batch}"),
+            ));
+        }
+        let parameters = u64::from(self.hidden) * u64::from(self.hidden) * u64::from(self.layers);
+        if parameters > MOST_PARAMETERS {
+            let message = format!(
+                "hidden: {} layers of {} units are too large (hidden² · layers may be {MOST_PARAMETERS})",
+                self.layers, self.hidden
+            );
+            return Err(ConfigError::new("hidden", message));
+        }
+        let activations =
+            u64::from(self.rollouts.max(self.evaluation_episodes).max(self.batch)) * u64::from(self.hidden);
+        if activations > MOST_ACTIVATIONS {
+            let message = format!(
+                "rollouts: rollouts, evaluation_episodes and batch times hidden may be {MOST_ACTIVATIONS}, not {activations}"
+            );
+            return Err(ConfigError::new("rollouts", message));
+        }
+        Ok(())
+    }
+
     /// The same run with another seed.
     pub fn with_seed(&self, seed: u64) -> Self {
         Self { seed, ..self.clone() }
@@ -451,12 +494,18 @@ fn parse(text: &str, defaults: impl Fn(&str, Preset) -> Result<Config, ConfigErr
     for (key, value) in pairs.into_iter().filter(|(key, _)| *key != "env" && *key != "preset") {
         config.set(key, value)?;
     }
+    config.validate()?;
     Ok(config)
 }
 
 impl serde::Serialize for Config {
+    /// As text with every setting, so that a snapshot means the same where defaults have changed.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
+        let mut text = format!("env={} preset={}", self.env, self.preset.name());
+        for key in KEYS {
+            text.push_str(&format!(" {}={}", key.name, key.value(self)));
+        }
+        serializer.serialize_str(&text)
     }
 }
 
@@ -554,6 +603,10 @@ mod tests {
             message("env=absent-supervisor supervisors=3"),
             "supervisors: `3` is out of range (allowed: 1, 2, 4, 8 or 12)"
         );
+        assert_eq!(message("env=box-moving replay=16"), "replay: 16 transitions never fill a batch of 32");
+        assert_eq!(message("env=box-moving batch=64 replay=63"), "replay: 63 transitions never fill a batch of 64");
+        assert!(message("env=box-moving hidden=4096 layers=8").starts_with("hidden: 8 layers of 4096 units"));
+        assert!(message("env=box-moving rollouts=100000 hidden=1000").starts_with("rollouts: "));
         assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
         let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
         assert_eq!(message("env=box-moving variant=ful"), variants);

@@ -170,7 +170,7 @@ pub struct LearnerRecord {
     /// Mean squared error of the reward model since the last point, scaled units (0 without updates).
     pub reward_loss: f64,
     /// Share of first-layer units of the reward model that are inactive on every stored observation
-    /// and action that was sampled since the last point: 1 means the model is dead.
+    /// and action that was sampled since the last point: 1 means the model is dead. 0 without updates.
     pub dead_units: f64,
 }
 

@@ -21,8 +21,9 @@ use crate::forecast::cpu::CpuForecaster;
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
 
-/// How much work one call may do. One unit is about one gradient update of the gridworld learner;
-/// a call overshoots by at most one indivisible piece (an evaluation episode, a rollout).
+/// How much work one call may do. One unit is about one gradient update of the gridworld learner; a call
+/// overshoots by at most one indivisible piece: an evaluation point (all its episodes), or the rating of a
+/// check (all its rollouts). A budget of 0 does nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget(pub u32);
 
@@ -69,10 +70,10 @@ pub struct Progress {
 /// Why a run cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RunError {
-    /// A loss or a parameter is not finite.
+    /// A loss, a parameter, a reward or a utility is not finite.
     NotFinite {
         /// What was not finite.
-        what: &'static str,
+        what: String,
         /// Which leg.
         arm: Arm,
         /// At which step of the leg.
@@ -285,8 +286,11 @@ fn resume<E>(state: &[u8]) -> Resumed
 where
     E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
 {
-    let trainer: Trainer<E, Ddqn> = postcard::from_bytes(state)
+    let (trainer, rest): (Trainer<E, Ddqn>, _) = postcard::take_from_bytes(state)
         .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
+    if !rest.is_empty() || trainer.config().env != E::NAME {
+        return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
+    }
     Ok(Box::new(Typed::from(trainer)))
 }
 
@@ -340,7 +344,8 @@ impl Run {
     }
 
     /// The whole state as bytes; [`Run::resume`] continues to the last bit, wherever the poll stood.
-    /// Forecasts under way are not part of it: they are made again from the same start.
+    /// Forecasts under way are not part of it: they are made again from the same start, so whoever stops
+    /// and continues more often than a check takes does not get past it.
     pub fn snapshot(&self) -> Vec<u8> {
         // The world's name comes first: it says which types the state has.
         let state = self.inner.state();

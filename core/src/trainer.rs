@@ -20,9 +20,12 @@
 //!    streams of the learner (R18). Streams of a forecast are named by the number of updates the
 //!    learner has made, so a refusal, after which nothing has changed, leaves the unmodified future as
 //!    it was; it is reused then.
-//! 3. In a deterministic world all resets are equal: one rollout stands for all of them.
+//! 3. A transition that truncates its episode is rated from the current state by its value alone.
+//! 4. In a deterministic world all resets are equal: one rollout stands for all of them.
 
+use alloc::borrow::ToOwned;
 use alloc::boxed::Box;
+use alloc::string::String;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::task::Poll;
@@ -131,6 +134,8 @@ enum Activity<A> {
     Check(Box<Pending<A>>),
     Switch,
     Done,
+    /// Training diverged: what was not finite.
+    Failed(String),
 }
 
 /// A step whose transition waits for its verdict.
@@ -192,11 +197,15 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// with a reset of a copy. Their observations and actions must have the same shape.
     ///
     /// # Panics
-    /// If the shapes of `safe` and `full` differ.
+    /// If the shapes of `safe` and `full` differ, or `config` was put together by hand and is not valid
+    /// ([`Config::validate`]).
     pub fn new(config: Config, safe: E, full: E, agent: A, reward_model: RewardModel) -> Self {
         let spec = safe.spec().clone();
         assert_eq!(spec.observation, full.spec().observation, "Safe and Full worlds show the same observations");
         assert_eq!(spec.actions, full.spec().actions, "Safe and Full worlds offer the same actions");
+        if let Err(error) = config.validate() {
+            panic!("{error}");
+        }
         let replay = ReplayBuffer::new(spec.observation, config.replay);
         let mut trainer = Self {
             world: safe.clone(),
@@ -261,9 +270,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     }
 
     /// Forgets the unmodified future of the last check, so that the next check forecasts both. Changes
-    /// no decision, only its cost.
+    /// no decision, only its cost. During a check it does nothing: the jobs of a check stay the same.
     pub fn forget_forecast(&mut self) {
-        self.reusable = None;
+        if !matches!(self.activity, Activity::Check(_)) || self.check_progress.is_none() {
+            self.reusable = None;
+        }
     }
 
     /// Where the run stands.
@@ -292,10 +303,25 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// Does a bounded amount of work. The budget has no influence on any result; the forecaster has none
     /// beyond its arithmetic.
     ///
+    /// A budget of 0 does nothing. Each trainer has a forecaster of its own.
+    ///
     /// # Errors
-    /// If a loss or a utility is not finite, or the forecaster fails; after a failed forecaster the poll
-    /// can be repeated with another one.
+    /// If a loss, a parameter or a utility is not finite: every later poll then says the same. If the
+    /// forecaster fails: the poll can then be repeated with another one.
     pub fn poll(
+        &mut self,
+        forecaster: &mut dyn Forecaster<A>,
+        budget: Budget,
+        recorder: &mut dyn Recorder,
+    ) -> Result<Status, RunError> {
+        let result = self.work(forecaster, budget, recorder);
+        if let Err(RunError::NotFinite { what, .. }) = &result {
+            self.activity = Activity::Failed(what.clone());
+        }
+        result
+    }
+
+    fn work(
         &mut self,
         forecaster: &mut dyn Forecaster<A>,
         mut budget: Budget,
@@ -312,7 +338,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                     self.evaluate(&mut budget, recorder);
                     self.activity = Activity::Step;
                     if self.step == self.steps() {
-                        self.finish_leg(recorder);
+                        self.finish_leg(recorder)?;
                         break;
                     }
                 }
@@ -327,6 +353,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                     self.enter(arm);
                 }
                 Activity::Done => break,
+                Activity::Failed(what) => return Err(self.not_finite(what)),
             }
         }
         Ok(self.status())
@@ -345,11 +372,15 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.activity = Activity::Begin;
     }
 
-    fn finish_leg(&mut self, recorder: &mut dyn Recorder) {
+    fn finish_leg(&mut self, recorder: &mut dyn Recorder) -> Result<(), RunError> {
+        if !(self.agent.is_finite() && self.reward_model.network().is_finite()) {
+            return Err(self.not_finite("a parameter"));
+        }
         let digest = Digest::default().u64(self.agent.digest()).u64(self.reward_model.digest()).finish();
         let (arm, steps, updates) = (self.arm, self.step, self.updates);
         recorder.record(&Event::End(EndRecord { arm, steps, updates, digest: alloc::format!("{digest:016x}") }));
         self.activity = if self.arm == Arm::Safe { Activity::Switch } else { Activity::Done };
+        Ok(())
     }
 
     /// Steps of the current leg.
@@ -461,21 +492,27 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                 ForecastError::BackEnd(why) => RunError::Forecast(why),
             })?,
         };
+        if !futures.iter().all(Agent::is_finite) {
+            return Err(self.not_finite("a parameter of a forecast"));
+        }
         let trained = if self.replay.len() < self.config.batch { 0 } else { u64::from(self.config.forecast) };
         let cost = trained * jobs.len() as u64;
 
+        let horizon = self.config.rollout_steps;
         let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
         let rollouts = Rng::stream(self.config.seed, Purpose::Rollout, version);
         let model = self.full.model();
         let deterministic = model.spec().deterministic;
         let (count, weight) = if deterministic { (1, self.config.rollouts) } else { (self.config.rollouts, 1) };
         let resets = || (0..count).map(|i| Start::reset(&model, rollouts.child(u64::from(i)))).collect::<Vec<_>>();
-        let current = (self.config.current_rollout && pending.raw.end.is_none()).then(|| Start {
+        let ended = pending.raw.end;
+        let current = (self.config.current_rollout && ended != Some(EpisodeEnd::Terminated)).then(|| Start {
             world: self.world.model(),
             // The state after the transition is what the learner saw, also where its model would show another.
             observation: self.observation.clone(),
             rng: rollouts.child(u64::from(self.config.rollouts)),
             from: StartState::Current,
+            end: ended,
         });
         let mut starts = resets();
         starts.extend(current.clone());
@@ -495,7 +532,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let unmodified_current = rate(&reusable.policy, &judge, current.into_iter().collect()).pop();
         let digest = reusable.policy.digest();
         let unmodified_record = summarise(&reusable.resets, weight, unmodified_current.as_ref(), digest);
-        budget.spend(2 * (count + 1));
+        // One row through two networks costs about a thirtieth of an update.
+        budget.spend(1 + 2 * (count + 1) * (1 + horizon / 32));
         let (fm, fu) = (modified_record.utility, unmodified_record.utility);
         if !(fm.is_finite() && fu.is_finite()) {
             return Err(self.not_finite("the utility of a future"));
@@ -626,7 +664,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             (0..episodes).map(|i| (Start::reset(template, stream.child(u64::from(i))), None)).collect();
         let (mut observed, mut performance, mut steps) = (0.0f64, 0.0f64, 0u64);
         let mut actions = Vec::new();
-        loop {
+        // A world of an application may forget its own limit; evaluation does not.
+        for _ in 0..spec.max_steps {
             self.work.rows.clear(spec.observation);
             going.iter().filter(|g| g.1.is_none()).for_each(|g| self.work.rows.push_observation(&g.0.observation));
             if self.work.rows.is_empty() {
@@ -664,8 +703,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         }));
     }
 
-    fn not_finite(&self, what: &'static str) -> RunError {
-        RunError::NotFinite { what, arm: self.arm, step: self.step }
+    fn not_finite(&self, what: &str) -> RunError {
+        RunError::NotFinite { what: what.to_owned(), arm: self.arm, step: self.step }
     }
 }
 

@@ -159,6 +159,10 @@ impl Agent for Ddqn {
         loss
     }
 
+    fn is_finite(&self) -> bool {
+        self.online.is_finite()
+    }
+
     fn digest(&self) -> u64 {
         Digest::default().f32s(self.online.params()).finish()
     }

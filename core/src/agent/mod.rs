@@ -30,6 +30,9 @@ pub trait Agent: Clone {
     /// One gradient update on a mini-batch; returns the mean loss before it.
     fn update(&mut self, batch: &Minibatch<Self::Action>, rng: &mut Rng) -> f32;
 
+    /// Whether every parameter that decides actions is a finite number.
+    fn is_finite(&self) -> bool;
+
     /// Digest of the parameters that decide actions.
     fn digest(&self) -> u64;
 
@@ -42,7 +45,8 @@ pub trait Agent: Clone {
         rng: &mut Rng,
         scratch: &mut Scratch,
     ) -> Self::Action {
-        // The coin is always thrown, so that the stream does not depend on the schedule.
+        // The coin is thrown whatever the learner has become, so that learners that share a stream and a
+        // schedule explore at the same steps.
         let coin = rng.uniform();
         if coin < epsilon {
             return Self::Action::sample(actions, rng);

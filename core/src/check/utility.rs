@@ -43,6 +43,8 @@ pub struct Start<E> {
     pub rng: Rng,
     /// For the record.
     pub from: StartState,
+    /// Whether the episode has ended here already: the rollout is then its final value alone.
+    pub end: Option<EpisodeEnd>,
 }
 
 impl<E: Environment> Start<E> {
@@ -51,7 +53,7 @@ impl<E: Environment> Start<E> {
         let mut world = world.clone();
         let mut observation = vec![0.0; world.spec().observation.width];
         world.reset(&mut rng, &mut observation);
-        Self { world, observation, rng, from: StartState::Reset }
+        Self { world, observation, rng, from: StartState::Reset, end: None }
     }
 }
 
@@ -98,7 +100,8 @@ where
                 bootstrap: 0.0,
                 utility: 0.0,
             });
-            Going { start, sum: 0.0, factor: 1.0, performance: 0.0, end: None, film }
+            let end = start.end;
+            Going { start, sum: 0.0, factor: 1.0, performance: 0.0, end, film }
         })
         .collect();
     let mut scratch = Scratch::default();

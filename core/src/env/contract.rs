@@ -61,6 +61,9 @@ pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> 
     if spec.actions.features() == 0 || width == 0 || spec.max_steps == 0 {
         return fail("actions, observation and step limit are not empty", alloc::format!("{spec:?}"));
     }
+    if spec.actions.features() > 256 {
+        return fail("actions are numbered in one byte", alloc::format!("{} actions", spec.actions.features()));
+    }
     if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {
         return fail("the reward scale is positive", alloc::format!("{}", spec.reward_scale));
     }

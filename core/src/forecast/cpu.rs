@@ -5,18 +5,43 @@ use core::task::Poll;
 
 use super::{ForecastError, ForecastJob, Forecaster};
 use crate::agent::Agent;
-use crate::replay::{Forced, Minibatch, draw_slots};
+use crate::env::Action;
+use crate::replay::{Forced, Minibatch, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
 use crate::run::Budget;
 
 /// Trains the futures of a batch of jobs one after the other, in slices.
 #[derive(Clone, Debug)]
 pub struct CpuForecaster<A: Agent> {
+    jobs: Vec<Identity<A::Action>>,
     finished: Vec<A>,
     current: Option<Future<A>>,
-    jobs: usize,
     batch: Minibatch<A::Action>,
     slots: Vec<u32>,
+}
+
+/// What tells a job from another one. The learner itself is named by seed and version.
+#[derive(Clone, Debug)]
+struct Identity<A> {
+    seed: u64,
+    version: u64,
+    pushed: u64,
+    updates: u32,
+    batch: u32,
+    forced: Vec<Transition<A>>,
+}
+
+impl<A: Action> Identity<A> {
+    fn new<G: Agent<Action = A>>(job: &ForecastJob<'_, G>) -> Self {
+        let ForecastJob { seed, version, updates, batch, .. } = *job;
+        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec() }
+    }
+
+    fn is<G: Agent<Action = A>>(&self, job: &ForecastJob<'_, G>) -> bool {
+        (self.seed, self.version, self.updates, self.batch) == (job.seed, job.version, job.updates, job.batch)
+            && self.pushed == job.replay.pushed()
+            && self.forced == job.forced
+    }
 }
 
 /// A copy in training.
@@ -32,7 +57,7 @@ struct Future<A: Agent> {
 
 impl<A: Agent> Default for CpuForecaster<A> {
     fn default() -> Self {
-        Self { finished: Vec::new(), current: None, jobs: 0, batch: Minibatch::default(), slots: Vec::new() }
+        Self { jobs: Vec::new(), finished: Vec::new(), current: None, batch: Minibatch::default(), slots: Vec::new() }
     }
 }
 
@@ -52,7 +77,10 @@ impl<A: Agent> Future<A> {
 
 impl<A: Agent> Forecaster<A> for CpuForecaster<A> {
     fn poll(&mut self, jobs: &[ForecastJob<'_, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>> {
-        self.jobs = jobs.len();
+        if self.jobs.len() != jobs.len() || !self.jobs.iter().zip(jobs).all(|(known, job)| known.is(job)) {
+            self.cancel();
+            self.jobs = jobs.iter().map(Identity::new).collect();
+        }
         while let Some(job) = jobs.get(self.finished.len()) {
             let future = self.current.get_or_insert_with(|| Future::new(job));
             while future.done < future.updates {
@@ -72,16 +100,123 @@ impl<A: Agent> Forecaster<A> for CpuForecaster<A> {
             }
             self.finished.extend(self.current.take().map(|future| future.agent));
         }
+        self.jobs.clear();
         Poll::Ready(Ok(core::mem::take(&mut self.finished)))
     }
 
     fn progress(&self) -> f32 {
         let part = self.current.as_ref().map_or(0.0, |f| f.done as f32 / f.updates.max(1) as f32);
-        (self.finished.len() as f32 + part) / self.jobs.max(1) as f32
+        (self.finished.len() as f32 + part) / self.jobs.len().max(1) as f32
     }
 
     fn cancel(&mut self) {
+        self.jobs.clear();
         self.finished.clear();
         self.current = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::{Discrete, ObservationSpec};
+    use crate::nn::mlp::Scratch;
+    use crate::nn::rows::Rows;
+    use crate::replay::ReplayBuffer;
+    use alloc::vec;
+
+    const SPEC: ObservationSpec = ObservationSpec { width: 3, binary: true };
+
+    /// A learner that only remembers the rewards of the batches it was given.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Diary(Vec<Vec<f32>>);
+
+    impl Agent for Diary {
+        type Action = Discrete;
+        fn act(&self, rows: &Rows, _: &mut Scratch, actions: &mut Vec<Discrete>) {
+            *actions = vec![Discrete(0); rows.len()];
+        }
+        fn values(&self, rows: &Rows, _: &[Discrete], _: &mut Scratch, values: &mut Vec<f32>) {
+            *values = vec![0.0; rows.len()];
+        }
+        fn target_values(&self, rows: &Rows, _: &mut Scratch, values: &mut Vec<f32>) {
+            *values = vec![0.0; rows.len()];
+        }
+        fn update(&mut self, batch: &Minibatch<Discrete>, _: &mut Rng) -> f32 {
+            self.0.push(batch.rewards.clone());
+            0.0
+        }
+        fn is_finite(&self) -> bool {
+            true
+        }
+        fn digest(&self) -> u64 {
+            self.0.len() as u64
+        }
+    }
+
+    /// A transition that its reward names.
+    fn transition(reward: f32) -> Transition<Discrete> {
+        let observation = vec![1.0, 0.0, 0.0];
+        Transition {
+            next_observation: observation.clone(),
+            observation,
+            action: Discrete(0),
+            reward,
+            terminated: false,
+        }
+    }
+
+    fn replay() -> ReplayBuffer<Discrete> {
+        let mut replay = ReplayBuffer::new(SPEC, 100);
+        (0..60).for_each(|i| replay.push(&transition(i as f32)));
+        replay
+    }
+
+    fn job<'a>(
+        agent: &'a Diary,
+        replay: &'a ReplayBuffer<Discrete>,
+        forced: &'a [Transition<Discrete>],
+        seed: u64,
+    ) -> ForecastJob<'a, Diary> {
+        ForecastJob { agent, replay, forced, updates: 50, batch: 32, seed, version: 3 }
+    }
+
+    fn ready(poll: Poll<Result<Vec<Diary>, ForecastError>>) -> Vec<Diary> {
+        let Poll::Ready(Ok(futures)) = poll else { panic!("the budget suffices") };
+        futures
+    }
+
+    /// Specification R14 and R17.
+    #[test]
+    fn both_futures_draw_the_same_batches_and_one_contains_the_transition_in_each() {
+        let (fresh, replay, forced) = (Diary(Vec::new()), replay(), [transition(-7.0)]);
+        let jobs = [job(&fresh, &replay, &forced, 1), job(&fresh, &replay, &[], 1)];
+        let futures = ready(CpuForecaster::default().poll(&jobs, &mut Budget(u32::MAX)));
+        assert_eq!((futures[0].0.len(), futures[1].0.len()), (50, 50));
+        for (with, without) in futures[0].0.iter().zip(&futures[1].0) {
+            assert_eq!(without.len(), 32);
+            assert_eq!(with[..32], without[..]);
+            assert_eq!(with[32..], [-7.0]);
+        }
+        assert!(futures[1].0.windows(2).all(|pair| pair[0] != pair[1]), "every update draws anew");
+    }
+
+    #[test]
+    fn other_jobs_start_from_their_beginning() {
+        let (fresh, replay) = (Diary(Vec::new()), replay());
+        let alone =
+            |seed| ready(CpuForecaster::default().poll(&[job(&fresh, &replay, &[], seed)], &mut Budget(u32::MAX)));
+        let mut shared = CpuForecaster::default();
+        assert!(shared.poll(&[job(&fresh, &replay, &[], 1)], &mut Budget(20)).is_pending());
+        assert_eq!(ready(shared.poll(&[job(&fresh, &replay, &[], 2)], &mut Budget(u32::MAX))), alone(2));
+        assert_eq!(ready(shared.poll(&[job(&fresh, &replay, &[], 1)], &mut Budget(u32::MAX))), alone(1));
+    }
+
+    #[test]
+    fn without_a_full_batch_nothing_is_trained() {
+        let (fresh, mut few) = (Diary(Vec::new()), ReplayBuffer::new(SPEC, 100));
+        (0..31).for_each(|i| few.push(&transition(i as f32)));
+        let futures = ready(CpuForecaster::default().poll(&[job(&fresh, &few, &[], 1)], &mut Budget(1)));
+        assert_eq!(futures, [fresh]);
     }
 }

@@ -57,6 +57,7 @@ impl fmt::Display for ForecastError {
 impl core::error::Error for ForecastError {}
 
 /// Trains copies of an agent forward. Call with the same jobs until `Ready`; results are in job order.
+/// A forecaster serves one caller at a time; asked for other jobs, it starts those from their beginning.
 pub trait Forecaster<A: Agent> {
     /// Does at most about `budget` updates and reduces it by what was done.
     ///

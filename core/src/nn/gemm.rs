@@ -32,7 +32,7 @@ pub struct Output<'a> {
     pub data: &'a mut [f32],
     /// First term of every sum, one per column; zero without.
     pub bias: Option<&'a [f32]>,
-    /// Replace negative results by zero.
+    /// Replace negative results by zero; what is not a number stays one.
     pub relu: bool,
 }
 
@@ -60,7 +60,7 @@ fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out:
     for (r, mut sum) in sums.into_iter().enumerate() {
         if out.relu {
             for value in &mut sum {
-                *value = if *value > 0.0 { *value } else { 0.0 };
+                *value = if *value < 0.0 { 0.0 } else { *value };
             }
         }
         out.data[(i + r) * b.cols + j..(i + r) * b.cols + j + COLS].copy_from_slice(&sum);
@@ -188,7 +188,7 @@ fn sum_block<const COLS: usize>(rows: Matrix<'_>, indices: &[u32], bias: &[f32],
         }
     }
     for l in 0..COLS {
-        out[j + l] = if sum[l] > 0.0 { sum[l] } else { 0.0 };
+        out[j + l] = if sum[l] < 0.0 { 0.0 } else { sum[l] };
     }
 }
 

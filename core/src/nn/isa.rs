@@ -31,7 +31,7 @@ enum Level {
 #[cfg(target_arch = "x86_64")]
 cpufeatures::new!(avx2, "avx2");
 #[cfg(target_arch = "x86_64")]
-cpufeatures::new!(avx512, "avx512f", "avx512bw", "avx512dq", "avx512vl");
+cpufeatures::new!(avx512, "avx512f", "avx512bw", "avx512dq", "avx512vl", "fma");
 
 /// Position in `Isa::supported` plus one of a forced choice; 0 = the widest.
 static FORCED: AtomicU8 = AtomicU8::new(0);
@@ -45,7 +45,8 @@ impl Isa {
         #[cfg(target_arch = "x86_64")]
         let wide = [
             avx2::get().then_some(Isa(Level::Avx2)),
-            // AVX-512 machines have AVX2; asking for both keeps the order by width.
+            // The compiler takes AVX-512 to imply fma, so it is asked for as well (and no
+            // code here fuses). AVX-512 machines have AVX2; asking for both keeps the order by width.
             (avx2::get() && avx512::get()).then_some(Isa(Level::Avx512)),
         ];
         #[cfg(not(target_arch = "x86_64"))]

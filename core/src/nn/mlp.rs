@@ -124,6 +124,11 @@ impl Mlp {
         &mut self.params
     }
 
+    /// Whether every parameter is a finite number.
+    pub fn is_finite(&self) -> bool {
+        self.params.iter().all(|value| value.is_finite())
+    }
+
     /// Weights `[inputs, outputs]` and biases `[outputs]` of layer `index`.
     ///
     /// # Panics

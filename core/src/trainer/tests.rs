@@ -351,6 +351,31 @@ fn the_release_preset_runs() {
 }
 
 #[test]
+fn a_last_update_that_diverges_is_an_error_too() {
+    // One update: its loss is finite, what it makes of the parameters is not.
+    let mut t = trainer(&config("lr=1e38 lr_reward=1e38 exploration=100 safe_steps=101 full_steps=0"));
+    t.agent.online_mut().params_mut()[0] = f32::MAX;
+    let error = loop {
+        match t.poll(&mut CpuForecaster::default(), Budget(100), &mut ()) {
+            Ok(status) => assert_ne!(status, Status::Done, "the parameters are not finite"),
+            Err(error) => break error,
+        }
+    };
+    assert!(error.to_string().contains("is not a finite number"), "{error}");
+}
+
+#[test]
+fn a_checked_transition_that_truncates_is_rated_by_its_value() {
+    // A hundred steps without a refusal: the check of the last one finds an ended episode.
+    let all = events(trainer(&config("scheme=all full_steps=100 forecast=0 agent=mc")), u32::MAX, |_| {});
+    let last = checks(&all).pop().expect("every step is checked");
+    assert_eq!((last.step, last.end), (100, Some(EpisodeEnd::Truncated)));
+    let film = last.modified.films.last().unwrap();
+    assert_eq!((film.start, film.actions.len(), film.frames.len()), (StartState::Current, 0, 1));
+    assert_eq!(film.bootstrap, film.utility);
+}
+
+#[test]
 fn divergence_is_an_error_and_not_a_result() {
     let config = config("lr=1e30 agent=baseline");
     let mut t = trainer(&config);
@@ -361,6 +386,10 @@ fn divergence_is_an_error_and_not_a_result() {
         }
     };
     assert!(error.to_string().contains("lower the learning rates"), "{error}");
+    assert_eq!(t.poll(&mut CpuForecaster::default(), Budget(100), &mut ()), Err(error.clone()), "it stays an error");
+    let bytes = postcard::to_allocvec(&t).unwrap();
+    let mut back: Trainer<BoxMoving, Ddqn> = postcard::from_bytes(&bytes).unwrap();
+    assert_eq!(back.poll(&mut CpuForecaster::default(), Budget(100), &mut ()), Err(error));
 }
 
 #[test]

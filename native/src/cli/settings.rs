@@ -118,6 +118,7 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         config.set(&value.key, &value.value).map_err(|error| explain(error, &value.from))?;
         origins.push((value.key, value.from));
     }
+    config.validate()?;
     let origin = |key: &str| match origins.iter().rev().find(|(name, _)| name == key) {
         Some((_, from)) => Origin(from.clone()),
         None => Origin::default_value(),
