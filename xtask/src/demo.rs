@@ -18,7 +18,7 @@ pub fn demo(seeds: &str, serve_page: bool) -> Result<()> {
     process::run(process::cargo().args(["build", "--release", "--package", "mcvl-native"]))?;
     web::build()?;
 
-    let mcvl = || process::command(process::mcvl("release"));
+    let mcvl = || process::command(process::program("release", "mcvl"));
     let mut train = mcvl();
     train.args(["train", "box-moving", "--seeds", seeds, "-o", RUNS, "--overwrite", "--assert-claims"]);
     let trained = process::status(&mut train)?;

@@ -20,9 +20,9 @@ pub fn target() -> PathBuf {
     env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |folder| root().join(folder))
 }
 
-/// The `mcvl` program of a profile's folder (`debug`, `release`).
-pub fn mcvl(folder: &str) -> PathBuf {
-    target().join(folder).join(format!("mcvl{}", env::consts::EXE_SUFFIX))
+/// A program that cargo built, by the folder of its profile (`debug`, `release`) and its name.
+pub fn program(folder: &str, name: &str) -> PathBuf {
+    target().join(folder).join(format!("{name}{}", env::consts::EXE_SUFFIX))
 }
 
 /// A program that will run in the root of the repository.

@@ -6,12 +6,16 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-use crate::process::{cargo, exists, mcvl, root, run};
+use crate::process::{cargo, command, exists, program, root, run};
 use crate::setup::{BARE, Purpose};
 use crate::{setup, web};
 
 /// A stage: its name and what it does.
 type Stage = (&'static str, fn() -> Result<()>);
+
+/// What is built and tested. One selection for all stages: cargo compiles dependencies again for another
+/// one. The glue has no tests and a large tree of its own.
+const EVERYTHING: [&str; 3] = ["--workspace", "--exclude", "xtask-glue"];
 
 const STAGES: &[Stage] = &[
     ("setup", || setup::ensure(Purpose::Test)),
@@ -19,9 +23,9 @@ const STAGES: &[Stage] = &[
     ("lint", || run(cargo().args(["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
     ("core alone on a bare target", || run(cargo().args(["build", "--package", "mcvl-core", "--target", BARE]))),
     ("web", web::build),
-    ("mcvl", || run(cargo().args(["build", "--package", "mcvl-native"]))),
+    ("build", || run(cargo().arg("build").args(EVERYTHING).arg("--all-targets"))),
     ("tests", tests),
-    ("documentation tests", || run(with_program(cargo().args(["test", "--workspace", "--doc"])))),
+    ("documentation tests", || run(with_program(cargo().args(["test", "--doc"]).args(EVERYTHING)))),
     ("examples", examples),
 ];
 
@@ -56,18 +60,18 @@ fn summary(done: &[(&str, Duration)]) {
 /// Unit and integration tests, with cargo-nextest where it is installed.
 fn tests() -> Result<()> {
     if exists(&["cargo-nextest"]) {
-        return run(with_program(cargo().args(["nextest", "run", "--workspace"])));
+        return run(with_program(cargo().args(["nextest", "run"]).args(EVERYTHING)));
     }
     eprintln!("cargo-nextest is not installed (`cargo xtask setup` does it): `cargo test` runs the same tests");
-    run(with_program(cargo().args(["test", "--workspace", "--lib", "--bins", "--tests"])))
+    run(with_program(cargo().arg("test").args(EVERYTHING).args(["--lib", "--bins", "--tests"])))
 }
 
 /// Tells the tests which `mcvl` to run: the one that the stage before built.
 fn with_program(command: &mut Command) -> &mut Command {
-    command.env("MCVL_BIN", mcvl("debug"))
+    command.env("MCVL_BIN", program("debug", "mcvl"))
 }
 
-/// Runs every example of core: what documentation shows has to work.
+/// Runs every example of core, as the build stage left it: what documentation shows has to work.
 fn examples() -> Result<()> {
     let Ok(folder) = fs::read_dir(root().join("core/examples")) else { return Ok(()) };
     let mut names: Vec<String> = Vec::new();
@@ -78,5 +82,5 @@ fn examples() -> Result<()> {
         }
     }
     names.sort();
-    names.iter().try_for_each(|name| run(cargo().args(["run", "--quiet", "--package", "mcvl-core", "--example", name])))
+    names.iter().try_for_each(|name| run(&mut command(program("debug/examples", name))))
 }

@@ -34,7 +34,7 @@ pub fn build() -> Result<()> {
 /// Compiles the program that makes the glue.
 fn build_glue() -> Result<PathBuf> {
     process::run(process::cargo().args(["build", "--quiet", "--package", "xtask-glue"]))?;
-    Ok(process::target().join("debug").join(format!("xtask-glue{}", env::consts::EXE_SUFFIX)))
+    Ok(process::program("debug", "xtask-glue"))
 }
 
 /// Compiles one module, in a folder of its own: the flags are part of what it is.
