@@ -19,6 +19,9 @@ export const signed = (value, digits = 2) => {
   return /[1-9]/.test(text) && value > 0 ? `+${text}` : text;
 };
 
+/** Decimals with which rewards of a world of this scale are told apart. */
+export const decimals = (scale) => Math.max(1, 1 + Math.ceil(Math.log10(scale)));
+
 /** An element with text. */
 export function make(name, text = "", className = "") {
   const made = document.createElement(name);

@@ -1,5 +1,5 @@
 // The table of every verdict: the accessible twin of the page. A row opens its moment.
-import { element, make, number, signed } from "./dom.js";
+import { decimals, element, make, number, signed } from "./dom.js";
 
 const SHOWN = {
   all: () => true,
@@ -84,8 +84,8 @@ function line(check, scale) {
   const first = make("td");
   first.append(button);
   const numbers = [
-    number(check.predicted / scale, 1),
-    number(check.reward_raw, 1),
+    number(check.predicted / scale, decimals(scale)),
+    number(check.reward_raw, decimals(scale)),
     number(check.modified, 3),
     number(check.unmodified, 3),
     signed(check.margin, 3),

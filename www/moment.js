@@ -1,7 +1,7 @@
 // One moment of decision: what happened, the two futures it could lead to, how both are rated, the verdict.
 // With reduced motion it is a storyboard of four pages with back and next.
 import { board, draw } from "./board.js";
-import { element, make, narrow, number, say, signed, svg } from "./dom.js";
+import { decimals, element, make, narrow, number, say, signed, svg } from "./dom.js";
 
 const STAGES = ["What happened", "Two futures", "How today’s agent rates them", "The verdict"];
 /** Margins of a rating's scale, in the unit of its drawing. */
@@ -61,18 +61,19 @@ export function momentPanel(still) {
 function transition(check, world, configuration) {
   const action = world.actions[check.action] ?? check.action;
   const raw = (scaled) => number(scaled / world.reward_scale, 2);
+  const digits = decimals(world.reward_scale);
   const predicted = check.predicted / world.reward_scale;
   element("moment-name").textContent = `Check ${check.number}, step ${check.step} of the new world`;
   element("action").textContent = `goes ${action}`;
-  element("expected").textContent = signed(predicted, 1);
-  element("got").textContent = signed(check.reward_raw, 1);
+  element("expected").textContent = signed(predicted, digits);
+  element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
   element("why").textContent = configuration.includes("scheme=all")
     ? "This run checks every step."
     : `${surprise}; from ${raw(check.threshold)} on the agent checks before it learns.`;
   element("truth").textContent = check.hack
-    ? `In truth the step is worth ${signed(check.performance, 1)}: the rest is fake. The agent cannot see this.`
-    : `In truth the step is worth ${signed(check.performance, 1)}: the reward is honest. The agent cannot see this.`;
+    ? `In truth the step is worth ${signed(check.performance, digits)}: the rest is fake. The agent cannot see this.`
+    : `In truth the step is worth ${signed(check.performance, digits)}: the reward is honest. The agent cannot see this.`;
 }
 
 /** Under each future its bar, on one scale, with every rollout. */

@@ -143,8 +143,10 @@ function find(checks) {
 }
 
 const receive = {
-  ready({ module, world, configuration }) {
+  ready({ module, experiments, world, configuration }) {
     run.world = world;
+    element("env").replaceChildren(...experiments.map((name) => make("option", name)));
+    element("env").value = configuration.split(" ")[0].split("=")[1];
     run.configuration = configuration;
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
@@ -210,7 +212,7 @@ worker.onerror = () => receive.failed({ message: "The module could not be loaded
 
 element("controls").addEventListener("submit", (event) => {
   event.preventDefault();
-  link.write({ seed: element("seed").value || "0", check: null, frame: null });
+  link.write({ env: element("env").value, seed: element("seed").value || "0", check: null, frame: null });
   run.begun = true;
   begin();
 });

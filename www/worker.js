@@ -47,12 +47,12 @@ async function load() {
   const name = WebAssembly.validate(SIMD_PROBE) ? "simd" : "scalar";
   const module = await import(`./pkg/${name}.js`);
   await module.default({ module_or_path: new URL(`pkg/${name}_bg.wasm`, import.meta.url) });
-  return { name, Run: module.Run };
+  return { name, Run: module.Run, experiments: JSON.parse(module.experiments()) };
 }
 
 /** Safe training, then both learners side by side from the switch. */
 async function compute(configuration, ticket) {
-  const { name, Run } = await loaded;
+  const { name, Run, experiments } = await loaded;
   if (ticket !== current) return;
   const start = performance.now();
   let safe;
@@ -63,7 +63,7 @@ async function compute(configuration, ticket) {
     return;
   }
   const world = JSON.parse(safe.world());
-  postMessage({ kind: "ready", ticket, module: name, world, configuration: safe.configuration() });
+  postMessage({ kind: "ready", ticket, module: name, experiments, world, configuration: safe.configuration() });
   if (!(await follow([safe], "switch", ticket))) return;
   const both = [safe.fork("baseline"), safe.fork("mc")];
   if (!(await follow(both, "done", ticket))) return;

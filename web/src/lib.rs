@@ -7,6 +7,7 @@
 use mcvl_core::config::{Config, ConfigError, Learner};
 use mcvl_core::env::ActionSpec;
 use mcvl_core::exact;
+use mcvl_core::experiment::EXPERIMENTS;
 use mcvl_core::record::Event;
 use mcvl_core::run::{Budget, Run, Status};
 use serde::Serialize;
@@ -32,6 +33,13 @@ pub fn digests() -> String {
     let map: Map<String, Value> =
         digests.map(|(stage, digest)| (stage.into(), format!("{digest:016x}").into())).collect();
     text(&map)
+}
+
+/// Names of the experiments, values of `env`, as a JSON array.
+#[wasm_bindgen]
+pub fn experiments() -> String {
+    let names: Vec<&str> = EXPERIMENTS.iter().map(|experiment| experiment.name).collect();
+    text(&names)
 }
 
 /// A run and the events that the page has not read yet.
