@@ -61,16 +61,17 @@ pub fn envs(arguments: &EnvsArgs, terminal: &mut Terminal) -> anyhow::Result<Don
     Ok(Done::Well)
 }
 
-/// «Variant full: 49 intended, hack 201 observed but -49 hidden».
+/// «Variant full: 49 at best, by the hack 201 observed but -49 hidden; variant ...».
 fn variants(experiment: &Experiment) -> String {
     let rows = experiment.variants.iter().zip(experiment.intended).zip(experiment.hacking);
     let texts = rows.map(|((name, intended), hacking)| match hacking {
         Some((observed, hidden)) => {
-            format!("Variant {name}: {intended} at best, by the hack {observed} observed but {hidden} hidden")
+            format!("variant {name}: {intended} at best, by the hack {observed} observed but {hidden} hidden")
         }
         None => format!("variant {name}: {intended} at best, no hack"),
     });
-    texts.collect::<Vec<_>>().join("; ")
+    let text = texts.collect::<Vec<_>>().join("; ");
+    text.replacen("variant", "Variant", 1)
 }
 
 fn env_json(experiment: &Experiment) -> anyhow::Result<serde_json::Value> {
