@@ -113,7 +113,7 @@ fn a_time_limit_saves_and_says_how_to_go_on() {
 fn a_second_signal_aborts() {
     let folder = scratch();
     // Large networks: between two polls there is time for two signals.
-    let arguments = "train box-moving -o run --set hidden=2048 --set exploration=32 --progress none";
+    let arguments = "train box-moving -o run --set hidden=1000 --set exploration=32 --progress none";
     let mut command = program(folder.path());
     let mut child = command.args(arguments.split(' ')).stderr(Stdio::piped()).spawn().unwrap();
     wait_for(&folder.path().join("run/manifest.json"));
