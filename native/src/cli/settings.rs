@@ -141,6 +141,10 @@ fn take(given: &mut Vec<Given>, key: &str) -> Option<Given> {
     last
 }
 
+/// Variables of this project that are no settings: what the build script tells the program (`cargo run`
+/// hands it on), and what the tests are told.
+const OWN: [&str; 3] = ["build_", "bin", "golden_dir"];
+
 /// Settings among the environment variables.
 fn environment(
     variables: impl Iterator<Item = (Result<String, std::ffi::OsString>, Result<String, std::ffi::OsString>)>,
@@ -158,7 +162,7 @@ fn environment(
         } else if let Some(near) = nearest(&key, &names) {
             let (key, near) = (key.to_uppercase(), near.to_uppercase());
             usage!("environment variable {PREFIX}{key}: no such setting, did you mean `{PREFIX}{near}`?");
-        } else {
+        } else if !OWN.iter().any(|own| key.starts_with(own)) {
             terminal.note(format_args!("note: {PREFIX}{} is no setting of mcvl and is ignored", key.to_uppercase()));
         }
     }
