@@ -1,6 +1,6 @@
 // Opens addresses of the page in Chromium, or runs scripts in the page that is open, waits after each until
 // the page is done, and prints what stands there, as a JSON array. Arguments: (ADDRESS | do:SCRIPT)...
-import { spawn } from "node:child_process";
+import { spawn, spawnSync } from "node:child_process";
 import { mkdtemp, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -39,13 +39,25 @@ const READ = `
     requests: performance.getEntriesByType("resource").map((entry) => new URL(entry.name).origin),
   };`;
 
-const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
-const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
-try {
-  console.log(JSON.stringify(await visit(await port(driver), process.argv.slice(2))));
-} finally {
-  driver.kill();
-  await rm(profile, { recursive: true, force: true, maxRetries: 5 });
+/** Longest wait for one answer of the browser, milliseconds; a page answers in far less. */
+const ANSWER = 15_000;
+/** Browsers tried. Headless Chromium now and then stops answering on a busy machine: that says nothing of the page. */
+const BROWSERS = 6;
+
+for (let browser = 1; ; browser += 1) {
+  const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
+  const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
+  try {
+    console.log(JSON.stringify(await visit(await port(driver), profile, process.argv.slice(2))));
+    break;
+  } catch (error) {
+    if (!error.hung || browser === BROWSERS) throw error;
+    console.error(`browser ${browser}: ${error.message}; trying another`);
+  } finally {
+    driver.kill("SIGKILL");
+    spawnSync("pkill", ["-KILL", "-f", profile]);
+    await rm(profile, { recursive: true, force: true, maxRetries: 5 });
+  }
 }
 
 /** The port on which the driver listens, once it does. */
@@ -67,11 +79,15 @@ function settled(page) {
   return page.verdicts.length === 0 || page.moment.startsWith(check ? `Check ${check},` : "Check ");
 }
 
-async function visit(port, addresses) {
+async function visit(port, profile, addresses) {
   const call = async (path, method = "GET", body) => {
-    const options = { method, body: body && JSON.stringify(body) };
-    const response = await fetch(`http://127.0.0.1:${port}/session${path}`, options);
-    const { value } = await response.json();
+    const options = { method, body: body && JSON.stringify(body), signal: AbortSignal.timeout(ANSWER) };
+    const [response, { value }] = await fetch(`http://127.0.0.1:${port}/session${path}`, options)
+      .then(async (response) => [response, await response.json()])
+      .catch((error) => {
+        const hung = [error.name, error.cause?.name].includes("TimeoutError");
+        throw Object.assign(new Error(`${method} ${path}: ${error.message}`), { hung });
+      });
     if (!response.ok) throw new Error(`${method} ${path}: ${value.message}`);
     return value;
   };
@@ -85,22 +101,18 @@ async function visit(port, addresses) {
   });
   const read = () => call(`/${sessionId}/execute/sync`, "POST", { script: READ, args: [] });
   const seen = [];
-  try {
-    for (const what of addresses) {
-      const script = what.startsWith("do:") && what.slice(3);
-      if (script) await call(`/${sessionId}/execute/sync`, "POST", { script, args: [] });
-      else await call(`/${sessionId}/url`, "POST", { url: what });
-      const start = Date.now();
-      let page;
-      do {
-        await new Promise((resolve) => setTimeout(resolve, 200));
-        page = await read();
-      } while (!settled(page) && Date.now() - start < PATIENCE);
-      const log = await call(`/${sessionId}/se/log`, "POST", { type: "browser" });
-      seen.push({ ...page, log: log.map((entry) => entry.message) });
-    }
-  } finally {
-    await call(`/${sessionId}`, "DELETE");
+  for (const what of addresses) {
+    const script = what.startsWith("do:") && what.slice(3);
+    if (script) await call(`/${sessionId}/execute/sync`, "POST", { script, args: [] });
+    else await call(`/${sessionId}/url`, "POST", { url: what });
+    const start = Date.now();
+    let page;
+    do {
+      await new Promise((resolve) => setTimeout(resolve, 200));
+      page = await read();
+    } while (!settled(page) && Date.now() - start < PATIENCE);
+    const log = await call(`/${sessionId}/se/log`, "POST", { type: "browser" });
+    seen.push({ ...page, log: log.map((entry) => entry.message) });
   }
   return seen;
 }
