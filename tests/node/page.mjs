@@ -41,7 +41,10 @@ const READ = `
 
 /** Longest wait for one answer of the browser, milliseconds; a page answers in far less. */
 const ANSWER = 15_000;
-/** Browsers tried. Headless Chromium now and then stops answering on a busy machine: that says nothing of the page. */
+/**
+ * Browsers tried. About one headless Chromium in four stops answering its driver, and the cause is not found:
+ * it may lie in the browser, in its start, or in the page. To be removed once it is known.
+ */
 const BROWSERS = 6;
 
 for (let browser = 1; ; browser += 1) {
