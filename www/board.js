@@ -43,7 +43,7 @@ export function draw(target, frame, picture, other) {
 
 /** Entries of the legend, from the world's own words. */
 export function legend(entries) {
-  return Object.entries(entries)
+  return entries
     .filter(([character]) => character !== ".")
     .map(([character, meaning]) => {
       const [sign, kind] = CELLS[character] ?? [character, ""];

@@ -100,7 +100,7 @@ export function player(stopped) {
 function caption(film, frame, world) {
   if (frame === 0) return film.start === "reset" ? "a fresh episode" : "right after the step";
   if (frame > film.actions.length) return "the episode is over";
-  const action = world.actions[film.actions[frame - 1]] ?? film.actions[frame - 1];
+  const action = world.actions.discrete[film.actions[frame - 1]] ?? film.actions[frame - 1];
   const predicted = film.predicted[frame - 1] / world.reward_scale;
   return `goes ${action}, today’s model expects ${signed(Number(number(predicted, 1).replace("−", "-")), 1)}`;
 }

@@ -59,7 +59,7 @@ export function momentPanel(still) {
 
 /** What happened, and why it was checked. */
 function transition(check, world, configuration) {
-  const action = world.actions[check.action] ?? check.action;
+  const action = world.actions.discrete[check.action] ?? check.action;
   const raw = (scaled) => number(scaled / world.reward_scale, 2);
   const digits = decimals(world.reward_scale);
   const predicted = check.predicted / world.reward_scale;

@@ -39,39 +39,27 @@ const READ = `
     requests: performance.getEntriesByType("resource").map((entry) => new URL(entry.name).origin),
   };`;
 
-/** Longest wait for one answer of the browser, milliseconds; a page answers in far less. */
-const ANSWER = 15_000;
-/**
- * Browsers tried. About one headless Chromium in four stops answering its driver, and the cause is not found:
- * it may lie in the browser, in its start, or in the page. To be removed once it is known.
- */
-const BROWSERS = 6;
-
-for (let browser = 1; ; browser += 1) {
-  const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
-  const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
-  try {
-    console.log(JSON.stringify(await visit(await port(driver), profile, process.argv.slice(2))));
-    break;
-  } catch (error) {
-    if (!error.hung || browser === BROWSERS) throw error;
-    console.error(`browser ${browser}: ${error.message}; trying another`);
-  } finally {
-    driver.kill("SIGKILL");
-    spawnSync("pkill", ["-KILL", "-f", profile]);
-    await rm(profile, { recursive: true, force: true, maxRetries: 5 });
-  }
+const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
+const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
+try {
+  console.log(JSON.stringify(await visit(await port(driver), profile, process.argv.slice(2))));
+} finally {
+  driver.kill("SIGKILL");
+  spawnSync("pkill", ["-KILL", "-f", profile]);
+  await rm(profile, { recursive: true, force: true, maxRetries: 5 });
 }
 
-/** The port on which the driver listens, once it does. */
-async function port(driver) {
-  let said = "";
-  for await (const chunk of driver.stdout) {
-    said += chunk;
-    const found = said.match(/started successfully on port (\d+)/);
-    if (found) return found[1];
-  }
-  throw new Error(`chromedriver did not start: ${said}`);
+/** The port on which the driver listens, once it does. Its output is read on: a closed pipe could stop it. */
+function port(driver) {
+  return new Promise((resolve, reject) => {
+    let said = "";
+    driver.stdout.on("data", (chunk) => {
+      said += chunk;
+      const found = said.match(/started successfully on port (\d+)/);
+      if (found) resolve(found[1]);
+    });
+    driver.on("exit", () => reject(new Error(`chromedriver did not start: ${said}`)));
+  });
 }
 
 /** Whether the run is over and the check of the link, or else some check, is on show. */
@@ -84,13 +72,9 @@ function settled(page) {
 
 async function visit(port, profile, addresses) {
   const call = async (path, method = "GET", body) => {
-    const options = { method, body: body && JSON.stringify(body), signal: AbortSignal.timeout(ANSWER) };
-    const [response, { value }] = await fetch(`http://127.0.0.1:${port}/session${path}`, options)
-      .then(async (response) => [response, await response.json()])
-      .catch((error) => {
-        const hung = [error.name, error.cause?.name].includes("TimeoutError");
-        throw Object.assign(new Error(`${method} ${path}: ${error.message}`), { hung });
-      });
+    const options = { method, body: body && JSON.stringify(body) };
+    const response = await fetch(`http://127.0.0.1:${port}/session${path}`, options);
+    const { value } = await response.json();
     if (!response.ok) throw new Error(`${method} ${path}: ${value.message}`);
     return value;
   };

@@ -6,8 +6,9 @@ pub mod golden;
 pub mod source;
 
 use std::env;
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::sync::OnceLock;
 
 use anyhow::{Context, Result, bail};
@@ -54,6 +55,45 @@ fn build_mcvl() -> Result<PathBuf> {
     let built = messages.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
     let program = built.filter_map(|message| message["executable"].as_str().map(PathBuf::from)).next_back();
     program.context("cargo named no program")
+}
+
+/// `mcvl serve` on a free port, until it is dropped.
+pub struct Server {
+    process: Child,
+    /// Held open: the server may say more.
+    _stdout: BufReader<ChildStdout>,
+    /// Where the page is, as `mcvl serve` says it: with the query that opens a run.
+    pub link: String,
+}
+
+impl Server {
+    /// Serves the page, and a run if there is one.
+    ///
+    /// # Panics
+    /// If the server does not start.
+    pub fn start(run: Option<&Path>) -> Self {
+        let mut command = Command::new(mcvl());
+        command.args(["serve", "--port", "0"]).args(run).current_dir(root()).stdout(Stdio::piped());
+        let mut process = command.spawn().expect("mcvl can be started");
+        let mut stdout = BufReader::new(process.stdout.take().expect("stdout is a pipe"));
+        let mut line = String::new();
+        stdout.read_line(&mut line).expect("the server's output can be read");
+        let link = line.split_whitespace().next().expect("the server says its address").to_owned();
+        Self { process, _stdout: stdout, link }
+    }
+
+    /// Scheme, host and port.
+    pub fn origin(&self) -> &str {
+        self.link.split_once("/?").map_or(self.link.trim_end_matches('/'), |(origin, _)| origin)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It may have ended by itself; then there is nothing to stop.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
 }
 
 /// Runs a JavaScript module of `tests/node` and returns what it prints.

@@ -5,7 +5,6 @@
 #![forbid(unsafe_code)]
 
 use mcvl_core::config::{Config, ConfigError, Learner};
-use mcvl_core::env::ActionSpec;
 use mcvl_core::exact;
 use mcvl_core::experiment::EXPERIMENTS;
 use mcvl_core::record::Event;
@@ -106,19 +105,9 @@ impl Handle {
         text(&self.run.frame())
     }
 
-    /// Facts of the world that a drawing needs: names of actions, legend, reward scale, as a JSON object.
+    /// Facts of the world that a drawing needs, as a JSON object: core's `EnvSpec`.
     pub fn world(&self) -> String {
-        let spec = self.run.spec();
-        let ActionSpec::Discrete(actions) = spec.actions;
-        let legend: Map<String, Value> =
-            spec.legend.iter().map(|(character, meaning)| (character.to_string(), (*meaning).into())).collect();
-        text(&json!({
-            "name": spec.name,
-            "actions": actions,
-            "legend": legend,
-            "reward_scale": spec.reward_scale,
-            "max_steps": spec.max_steps,
-        }))
+        text(self.run.spec())
     }
 
     /// The canonical text of the run: the same text gives the same run here and natively.

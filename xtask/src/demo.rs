@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 
 use crate::setup::Purpose;
-use crate::{process, serve, setup, web};
+use crate::{process, setup, web};
 
 /// Where the demonstration's runs lie.
 const RUNS: &str = "runs/demo";
@@ -31,5 +31,5 @@ pub fn demo(seeds: &str, serve_page: bool) -> Result<()> {
     if !trained.success() {
         bail!("the experiment's claims do not hold: see the summary above and {REPORT}");
     }
-    if serve_page { serve::serve(&process::root().join("www"), serve::PORT) } else { Ok(()) }
+    if serve_page { process::run(mcvl().args(["serve", RUNS])) } else { Ok(()) }
 }

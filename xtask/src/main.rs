@@ -1,13 +1,11 @@
-//! Automation of the repository: `cargo xtask setup|demo|web|serve|test|bench`.
+//! Automation of the repository: `cargo xtask setup|demo|web|test|bench`.
 
 mod demo;
 mod process;
-mod serve;
 mod setup;
 mod test;
 mod web;
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -37,15 +35,6 @@ enum Command {
     },
     /// Build the page's WebAssembly modules into www/pkg and report their sizes
     Web,
-    /// Serve a folder to this machine's browser
-    Serve {
-        /// Port on the loopback address; 0 takes a free one
-        #[arg(long, default_value_t = serve::PORT)]
-        port: u16,
-        /// Folder to serve [default: www]
-        #[arg(long)]
-        dir: Option<PathBuf>,
-    },
     /// Set up, check and test everything: what continuous integration runs
     Test,
     /// Measure core's speed
@@ -57,7 +46,6 @@ fn main() -> ExitCode {
         Command::Setup => setup::everything(),
         Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
         Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
-        Command::Serve { port, dir } => serve::serve(&dir.unwrap_or_else(|| process::root().join("www")), port),
         Command::Test => test::test(),
         Command::Bench => process::run(process::cargo().args(["bench", "--package", "mcvl-core"])),
     };

@@ -59,8 +59,8 @@ pub trait BuiltIn: Environment {
     fn worlds(config: &Config) -> (Self, Self);
 }
 
-/// Fixed facts of an environment.
-#[derive(Clone, Debug, PartialEq)]
+/// Fixed facts of an environment. As JSON they are what a player of tapes has to know of a world.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EnvSpec {
     /// Identifier, as on the command line.
     pub name: &'static str,
@@ -96,7 +96,8 @@ pub struct ObservationSpec {
 }
 
 /// The set of actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ActionSpec {
     /// Numbered actions with their names.
     Discrete(&'static [&'static str]),

@@ -6,6 +6,7 @@ mod inspect;
 mod progress;
 mod replay;
 mod report;
+mod serve;
 mod settings;
 mod terminal;
 mod train;
@@ -79,6 +80,8 @@ enum Command {
     Compare(report::CompareArgs),
     /// Write a self-contained HTML report with curves and decisions
     Report(report::ReportArgs),
+    /// Serve the page to this machine's browser, with a run on it
+    Serve(serve::ServeArgs),
     /// Say what this machine offers and whether its arithmetic is exact
     Doctor(doctor::DoctorArgs),
     /// Print completions for a shell
@@ -157,6 +160,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Verify(arguments) => inspect::verify(&arguments, terminal),
         Command::Compare(arguments) => report::compare(&arguments, terminal),
         Command::Report(arguments) => report::report(&arguments, terminal),
+        Command::Serve(arguments) => serve::serve(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),
         Command::Completions { shell } => {
             let mut text = Vec::new();

@@ -6,5 +6,6 @@ mod cli_errors;
 mod cli_resume;
 mod golden;
 mod page;
+mod serve;
 mod tidy;
 mod wasm;

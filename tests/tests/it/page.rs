@@ -1,14 +1,10 @@
 //! The page in a browser: it computes what the native program computes, asks nobody else, and says what is
 //! wrong with a link.
 
-use std::env;
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
-
 use mcvl_core::config::Config;
 use mcvl_core::record::{CheckRecord, Event, Verdict};
 use mcvl_core::run::{Budget, Run, Status};
-use mcvl_tests::{node, root};
+use mcvl_tests::{Server, node};
 use serde::Deserialize;
 
 /// A short run with checks.
@@ -36,32 +32,6 @@ struct Page {
     log: Vec<String>,
 }
 
-/// The repository's own server, on a port of its own, until it is dropped.
-struct Server {
-    process: Child,
-    address: String,
-}
-
-impl Server {
-    fn start() -> Self {
-        let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        cargo.args(["run", "--quiet", "--package", "xtask", "--", "serve", "--port", "0"]);
-        let mut process = cargo.current_dir(root()).stdout(Stdio::piped()).spawn().expect("cargo can be started");
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.split_whitespace().next().expect("the server says its address").to_owned();
-        Self { process, address }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        // It may have ended by itself; then there is nothing to stop.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
 /// The checks of the run that the link names, computed here.
 fn native_checks() -> Vec<CheckRecord> {
     let config: Config = format!("env=box-moving&{LINK}").parse().unwrap();
@@ -81,7 +51,7 @@ fn pages(server: &Server, visits: &[String]) -> Vec<Page> {
     let pages: Vec<Page> = serde_json::from_str(&node("page.mjs", &visits).unwrap()).unwrap();
     assert_eq!(pages.len(), visits.len());
     for page in &pages {
-        assert!(!page.requests.is_empty() && page.requests.iter().all(|origin| *origin == server.address), "{page:?}");
+        assert!(!page.requests.is_empty() && page.requests.iter().all(|origin| origin == server.origin()), "{page:?}");
         assert!(page.log.is_empty(), "the browser complains: {:?}", page.log);
     }
     pages
@@ -98,8 +68,8 @@ fn name(check: &CheckRecord) -> String {
 
 #[test]
 fn page_shows_the_native_verdicts_and_asks_nobody_else() {
-    let server = Server::start();
-    let pages = pages(&server, &[format!("{}/?{LINK}", server.address)]);
+    let server = Server::start(None);
+    let pages = pages(&server, &[format!("{}/?{LINK}", server.origin())]);
     let page = &pages[0];
     assert!(page.status.starts_with("Done in"), "{page:?}");
     assert_eq!(page.module, "module with SIMD");
@@ -124,15 +94,15 @@ fn page_shows_the_native_verdicts_and_asks_nobody_else() {
 
 #[test]
 fn a_row_and_a_link_open_the_same_moment() {
-    let server = Server::start();
+    let server = Server::start(None);
     let checks = native_checks();
     let accepted = checks.iter().find(|check| check.verdict == Verdict::Accept).expect("the run has an acceptance");
     let row = format!(r#"do:document.querySelector("tr[data-check='{}'] button").click()"#, accepted.number);
     let link = format!("?env=box-moving&{LINK}&check={}", accepted.number);
     let filter = r#"do:document.querySelector("[name=filter][value=refused]").click()"#;
-    let frame = format!("{}/{link}&frame=7", server.address);
+    let frame = format!("{}/{link}&frame=7", server.origin());
     let next = r#"do:document.body.dispatchEvent(new KeyboardEvent("keydown", {key: ".", bubbles: true}))"#;
-    let visits = [format!("{}/?{LINK}", server.address), row, filter.into(), frame, next.into()];
+    let visits = [format!("{}/?{LINK}", server.origin()), row, filter.into(), frame, next.into()];
     let pages = pages(&server, &visits);
 
     assert_eq!([&pages[1].moment, &pages[1].stamp, &pages[1].link], [&name(accepted), "ACCEPTED", &link]);
@@ -155,9 +125,9 @@ fn a_row_and_a_link_open_the_same_moment() {
 
 #[test]
 fn a_malformed_link_is_answered() {
-    let server = Server::start();
+    let server = Server::start(None);
     let wrong = ["sed=1", "seed=-1", "check=two", "speed=3", &format!("{LINK}&check=999")];
-    let pages = pages(&server, &wrong.map(|query| format!("{}/?{query}", server.address)));
+    let pages = pages(&server, &wrong.map(|query| format!("{}/?{query}", server.origin())));
     let said = [
         "unknown setting `sed`, did you mean `seed`?",
         "seed: `-1` is not a whole number",

@@ -1,0 +1,76 @@
+//! A tape: one seed of a run as one JSON file, whole enough for the page to play it.
+
+use std::fs;
+
+use mcvl_core::config::Learner;
+use mcvl_core::env::EnvSpec;
+use mcvl_core::record::{Arm, EvaluationRecord};
+use mcvl_core::run::Run;
+use serde::Serialize;
+use serde_json::value::RawValue;
+
+use super::{Plan, RunDir, RunsError, SeedRun, check_tape, ledger};
+
+/// First field of every tape.
+const FORMAT: &str = "mcvl tape";
+/// Version of the format.
+const VERSION: u32 = 1;
+
+#[derive(Serialize)]
+struct Tape<'a> {
+    format: &'a str,
+    version: u32,
+    /// Canonical text of the run of the modification-considering learner: the same text re-derives it.
+    configuration: String,
+    world: &'a EnvSpec,
+    legs: Vec<Leg>,
+    evaluations: &'a [EvaluationRecord],
+    /// Checks with their films, as they stand in the files of the run.
+    checks: Vec<Box<RawValue>>,
+}
+
+/// A leg and its planned steps.
+#[derive(Serialize)]
+struct Leg {
+    arm: Arm,
+    steps: u32,
+}
+
+/// The tape of a seed as JSON text, with the checks of which `wanted` says so. An unfinished run gives
+/// what it has so far.
+///
+/// # Errors
+/// If a file of the seed cannot be read, or is not what was written.
+pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result<String, RunsError> {
+    let plan = Plan::read(run)?;
+    let dir = run.seed(seed);
+    let read = SeedRun::read(&dir, &plan)?;
+    let config = plan.config.with_seed(seed).with_agent(Learner::Mc);
+    let mut checks = Vec::new();
+    for (number, line) in (1..).zip(ledger(&dir)?) {
+        if !wanted(number) {
+            continue;
+        }
+        check_tape(&dir, number, &line)?;
+        let path = dir.tape(number);
+        let text = fs::read_to_string(&path).map_err(RunsError::io("read", &path))?;
+        let raw = RawValue::from_string(text);
+        checks.push(raw.map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))?);
+    }
+    let world = Run::new(&config).spec().clone();
+    let leg = |arm: Arm| Leg { arm, steps: if arm == Arm::Safe { config.safe_steps } else { config.full_steps } };
+    let tape = Tape {
+        format: FORMAT,
+        version: VERSION,
+        world: &world,
+        legs: [Arm::Safe]
+            .into_iter()
+            .chain(plan.learners.iter().map(|agent| super::job::arm_of(*agent)))
+            .map(leg)
+            .collect(),
+        configuration: config.to_string(),
+        evaluations: &read.evaluations,
+        checks,
+    };
+    Ok(serde_json::to_string(&tape).expect("a tape is plain data"))
+}
