@@ -55,6 +55,7 @@ export function curves(open) {
     element("curves").replaceChildren(...parts);
     element("curves").setAttribute("aria-label", describe());
     key();
+    follow();
   };
   const place = (point) => point.step + (point.arm === "safe" ? 0 : steps.safe);
   // Several reports may come before the next picture.
@@ -88,6 +89,26 @@ export function curves(open) {
     const nearest = checks.toSorted((one, other) => far(one) - far(other))[0];
     if (nearest && far(nearest) < 12) open(nearest.number);
   });
+
+  // The timeline stands on a check; dragging it opens the nearest one.
+  const timeline = element("timeline");
+  timeline.addEventListener("input", () => {
+    const far = (check) => Math.abs(check.step - timeline.value);
+    const nearest = checks.toSorted((one, other) => far(one) - far(other))[0];
+    if (nearest && nearest.number !== cursor) open(nearest.number);
+    follow();
+  });
+  const follow = () => {
+    const chosen = checks.find((check) => check.number === cursor);
+    timeline.disabled = checks.length === 0;
+    timeline.max = steps.full;
+    if (chosen && document.activeElement !== timeline) timeline.value = chosen.step;
+    const said = chosen
+      ? `step ${chosen.step}: check ${chosen.number}, ${chosen.refused ? "refused" : "accepted"}`
+      : "no check yet";
+    timeline.setAttribute("aria-valuetext", said);
+    element("timeline-at").textContent = said;
+  };
 
   narrow.addEventListener("change", later);
 

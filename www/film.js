@@ -20,6 +20,7 @@ export function player(stopped) {
   let frame = 0;
   let last = 0;
   let speed = 1;
+  let told = null;
   let timer = 0;
 
   const show = () => {
@@ -42,7 +43,7 @@ export function player(stopped) {
   const next = () => {
     timer = 0;
     if (frame < last) frame += 1;
-    if (frame < last) timer = setTimeout(next, BEAT / speed);
+    if (frame < last) timer = setTimeout(next, BEAT / (told ?? speed));
     show();
   };
   const go = (to) => {
@@ -53,12 +54,19 @@ export function player(stopped) {
   };
 
   const control = {
-    /** Shows the films with this start of a check, from a frame on. */
+    /** Shows the films with this start of a check, from a frame on; a ledger has none. */
     open(check, start, from, facts) {
       halt();
+      told = null;
       world = facts;
       const pick = (future) => future.films.find((film) => film.start === start) ?? future.films[0];
-      films = [pick(check.modified), pick(check.unmodified)];
+      films = check.modified.films ? [pick(check.modified), pick(check.unmodified)] : null;
+      element("films").hidden = !films;
+      for (const target of boards) target.hidden = !films;
+      if (!films) {
+        for (const side of SIDES) element(`${side}-step`).textContent = "A ledger has no films: drop the tape to see them.";
+        return;
+      }
       last = Math.max(...films.map((film) => film.actions.length));
       frame = Math.min(from, last);
       scrubber.max = last;
@@ -66,8 +74,24 @@ export function player(stopped) {
     },
     play() {
       halt();
+      if (!films) return;
+      told = null;
       if (frame === last) frame = 0;
       timer = setTimeout(next, BEAT / speed);
+      show();
+    },
+    /** Back to the start, still. */
+    rewind() {
+      halt();
+      frame = 0;
+      show();
+    },
+    /** Plays at a speed of its own, as part of a story. */
+    tell(pace) {
+      halt();
+      if (!films) return;
+      told = pace;
+      timer = setTimeout(next, BEAT / told);
       show();
     },
     toggle() {
@@ -80,6 +104,7 @@ export function player(stopped) {
     },
     set speed(value) {
       speed = value;
+      told = null;
     },
     set picture(value) {
       picture = value;
@@ -100,7 +125,7 @@ export function player(stopped) {
 function caption(film, frame, world) {
   if (frame === 0) return film.start === "reset" ? "a fresh episode" : "right after the step";
   if (frame > film.actions.length) return "the episode is over";
-  const action = world.actions.discrete[film.actions[frame - 1]] ?? film.actions[frame - 1];
+  const action = world.actions.discrete[film.actions[frame - 1]] ?? `action ${film.actions[frame - 1]}`;
   const predicted = film.predicted[frame - 1] / world.reward_scale;
   return `goes ${action}, today’s model expects ${signed(Number(number(predicted, 1).replace("−", "-")), 1)}`;
 }

@@ -1,26 +1,38 @@
 // The page's link: settings of the run, which the module reads and judges, and keys of the view, judged here.
 
+/** Panels that `hide` can take away. */
+export const PANELS = ["header", "run", "decision", "results", "ledger", "explain", "limits", "footer"];
 /** Keys of the view with their allowed values; the first is the default, a null stands for "none given". */
 const VIEW = {
   check: [null, "a whole number from 1", (text) => /^[1-9]\d{0,8}$/.test(text)],
   frame: [null, "a whole number from 0", (text) => /^\d{1,6}$/.test(text)],
   film: ["reset", "`reset` or `current`", (text) => ["reset", "current"].includes(text)],
   speed: ["1", "`1`, `4` or `16`", (text) => ["1", "4", "16"].includes(text)],
+  pace: ["max", "`1`, `4`, `16` or `max`", (text) => ["1", "4", "16", "max"].includes(text)],
   filter: ["all", "`all`, `refused`, `accepted` or `wrong`", (text) => ["all", "refused", "accepted", "wrong"].includes(text)],
   picture: ["seen", "`seen` or `true`", (text) => ["seen", "true"].includes(text)],
+  tape: [null, "a file of this site, like `run/seed-0.json`", (text) => /^[\w-]+([./][\w-]+)*$/.test(text)],
+  token: [null, "a replay token: those begin with `mcvl1.`", (text) => text.startsWith("mcvl1.")],
+  embed: ["0", "`1`", (text) => ["0", "1"].includes(text)],
+  hide: [null, `a list of ${PANELS.join(", ")}`, (text) => text.split(",").every((name) => PANELS.includes(name))],
 };
 const FIRST = "box-moving";
 
 /** What the link says, as far as it is sound. */
 let query = new URLSearchParams(location.search);
 
-/** The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view. */
+/**
+ * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view, and
+ * `plain` whether the link asks for nothing but the page.
+ */
 export function read() {
   const complaint = [...query].map(([key, value]) => judge(key, value)).find(Boolean) ?? "";
   if (complaint) forget();
   const view = {};
   for (const [key, [standard]] of Object.entries(VIEW)) view[key] = query.get(key) ?? standard;
-  return { view, configuration: configuration(), seed: query.get("seed") ?? "0", complaint };
+  const [text, seed] = [configuration(), query.get("seed") ?? "0"];
+  const plain = text.replace(/ seed=0$/, "") === `env=${FIRST}` && ["check", "tape", "token"].every((key) => !view[key]);
+  return { view, configuration: text, seed, complaint, plain };
 }
 
 /** Starts from the default page: what the link said is of no use. The address keeps it, to be corrected. */
@@ -36,6 +48,14 @@ export function write(changes) {
   }
   if (!query.has("env")) query = new URLSearchParams([["env", FIRST], ...query]);
   history.replaceState(null, "", `?${query}`);
+}
+
+/** Makes the link one to a run: its configuration text takes the place of what was asked for before. */
+export function turnTo(configuration, view = {}) {
+  const kept = [...query].filter(([key]) => Object.hasOwn(VIEW, key) && !["check", "frame", "tape", "token"].includes(key));
+  const pairs = configuration.split(" ").map((pair) => pair.split("="));
+  query = new URLSearchParams([...pairs, ...kept]);
+  write(view);
 }
 
 function judge(key, value) {

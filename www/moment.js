@@ -1,65 +1,116 @@
 // One moment of decision: what happened, the two futures it could lead to, how both are rated, the verdict.
-// With reduced motion it is a storyboard of four pages with back and next.
+// It is told in stages; those to come keep their place, so that nothing jumps.
 import { board, draw } from "./board.js";
 import { decimals, element, make, narrow, number, say, signed, svg } from "./dom.js";
 
-const STAGES = ["What happened", "Two futures", "How today’s agent rates them", "The verdict"];
+const STAGES = [
+  "What it does today",
+  "A surprise",
+  "Copy the agent twice",
+  "Train both copies, one with the step",
+  "Let both act",
+  "Rate both with what it wants today",
+  "The verdict",
+];
+const LAST = STAGES.length - 1;
 /** Margins of a rating's scale, in the unit of its drawing. */
 const MARGIN = 18;
 
-/** The panel; `still` says whether it is a storyboard. */
-export function momentPanel(still) {
+/** The panel; `turned()` hears that a person asked for another stage. */
+export function momentPanel(turned) {
   const before = board();
   const after = board();
   element("before").prepend(before);
   element("after").prepend(after);
-  let stage = STAGES.length;
-  let check = null;
+  let stage = LAST;
+  let shown = null;
+  let timers = [];
 
-  const showStage = () => {
-    for (const part of element("moment").querySelectorAll("[data-stage]")) {
-      part.classList.toggle("later", Number(part.dataset.stage) > stage);
+  const show = () => {
+    for (const part of element("decision").querySelectorAll("[data-stage]")) {
+      part.classList.toggle("later", !shown || Number(part.dataset.stage) > stage);
     }
-    element("storyboard").hidden = !still() || !check;
-    element("stage").textContent = `${stage} of ${STAGES.length}: ${STAGES[stage - 1]}`;
-    element("back").disabled = stage === 1;
-    element("forward").disabled = stage === STAGES.length;
+    element("decision").dataset.at = stage;
+    element("before-caption").textContent = stage === 0 ? "what it does today" : "before";
+    element("storyboard").hidden = !shown;
+    element("stage").textContent = stage === 0 ? STAGES[0] : `${stage} of ${LAST}: ${STAGES[stage]}`;
+    element("stage-dots").replaceChildren(...STAGES.slice(1).map((_, index) => make("i", "", index < stage ? "told" : "")));
+    element("back").disabled = stage <= 1;
+    element("forward").disabled = stage === LAST;
   };
-  const turn = (by) => {
-    stage = Math.max(1, Math.min(STAGES.length, stage + by));
-    showStage();
+  const turn = (to) => {
+    timers.forEach(clearTimeout);
+    timers = [];
+    if (stage === 0 && shown) drawStep();
+    stage = Math.max(0, Math.min(LAST, to));
+    show();
   };
-  element("back").addEventListener("click", () => turn(-1));
-  element("forward").addEventListener("click", () => turn(1));
+  const drawStep = () => {
+    draw(before, shown.check.before, shown.picture);
+    draw(after, shown.check.after, shown.picture, shown.check.before);
+  };
+  for (const [id, by] of [["back", -1], ["forward", 1]]) {
+    element(id).addEventListener("click", () => {
+      turned();
+      turn(Math.max(1, stage + by));
+    });
+  }
 
   return {
+    /** The stage in which the films play, and the one with the verdict. */
+    acting: STAGES.indexOf("Let both act"),
+    last: LAST,
+    get stage() {
+      return stage;
+    },
     /** Nothing to show yet, and why. */
     wait(text) {
-      check = null;
+      shown = null;
       element("moment").hidden = true;
       say("waiting", text);
-      showStage();
+      turn(LAST);
     },
-    /** Shows a check. */
-    open(shown, world, configuration, picture) {
-      const another = check?.number !== shown.number;
-      check = shown;
-      if (another) stage = still() ? 1 : STAGES.length;
+    /** Shows a check, whole or from a stage on. */
+    open(check, world, configuration, picture, from = LAST) {
+      shown = { check, picture };
       say("waiting", "");
       element("moment").hidden = false;
-      draw(before, check.before, picture);
-      draw(after, check.after, picture, check.before);
+      drawStep();
       transition(check, world, configuration);
+      training(check);
       ratings(check);
       verdict(check);
-      showStage();
+      turn(from);
+    },
+    turn,
+    /** Plays frames of what the agent does today where the situation before the step will stand. */
+    prologue(frames, time) {
+      frames.forEach((frame, index) => {
+        const put = () => draw(before, frame, shown.picture, frames[index - 1]);
+        if (index === 0) put();
+        else timers.push(setTimeout(put, (index * time) / frames.length));
+      });
+    },
+    set picture(value) {
+      if (!shown) return;
+      shown.picture = value;
+      drawStep();
     },
   };
 }
 
+/** How the two copies are trained. */
+function training(check) {
+  const each = check.reused ? check.cost : check.cost / 2;
+  const updates = `${each.toLocaleString("en")} updates from memory`;
+  element("modified-training").textContent = each ? `${updates}, the new step in every batch` : "";
+  const known = "known from the check before: nothing was learned since";
+  element("unmodified-training").textContent = check.reused ? known : each ? `${updates}, without the new step` : "";
+}
+
 /** What happened, and why it was checked. */
 function transition(check, world, configuration) {
-  const action = world.actions.discrete[check.action] ?? check.action;
+  const action = world.actions.discrete[check.action] ?? `action ${check.action}`;
   const raw = (scaled) => number(scaled / world.reward_scale, 2);
   const digits = decimals(world.reward_scale);
   const predicted = check.predicted / world.reward_scale;
@@ -69,7 +120,7 @@ function transition(check, world, configuration) {
   element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
   element("why").textContent = configuration.includes("scheme=all")
-    ? "This run checks every step."
+    ? `${surprise}. This run checks every step.`
     : `${surprise}; from ${raw(check.threshold)} on the agent checks before it learns.`;
   element("truth").textContent = check.hack
     ? `In truth the step is worth ${signed(check.performance, digits)}: the rest is fake. The agent cannot see this.`
@@ -81,13 +132,13 @@ function ratings(check) {
   const futures = [check.modified, check.unmodified];
   const values = futures.flatMap((future) => [future.utility, ...future.rollouts, 0]);
   const [low, high] = [Math.min(...values), Math.max(...values)];
-  const width = narrow.matches ? 150 : 300;
+  const width = narrow.matches ? 150 : 210;
   const place = (value) => MARGIN + ((value - low) / (high - low || 1)) * (width - 2 * MARGIN);
   for (const [side, future] of [["modified", check.modified], ["unmodified", check.unmodified]]) {
     element(`${side}-utility`).textContent = number(future.utility, 3);
     element(`${side}-bar`).replaceChildren(bar(future, place, width));
-    const steps = future.films[0].actions.length;
-    element(`${side}-truth`).textContent = `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.`;
+    const steps = future.films?.[0].actions.length;
+    element(`${side}-truth`).textContent = steps ? `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.` : "";
   }
 }
 
@@ -95,7 +146,7 @@ function ratings(check) {
 function bar(future, place, width) {
   const zero = place(0);
   const mean = place(future.utility);
-  const current = future.films.some((film) => film.start === "current") ? future.rollouts.length - 1 : -1;
+  const current = future.films?.some((film) => film.start === "current") ? future.rollouts.length - 1 : -1;
   const resets = new Map();
   future.rollouts.forEach((value, index) => {
     const at = Math.round(place(value));

@@ -1,60 +1,88 @@
-// Holds the panels together: what the worker reports goes to them, what a person does goes into the link.
+// Puts the panels together: what the worker or a tape says goes to them, what a person does goes into the link.
 import { board, draw, legend } from "./board.js";
+import * as computer from "./computer.js";
+import * as controls from "./controls.js";
 import { curves } from "./curves.js";
 import { element, LEARNERS, make, number, say } from "./dom.js";
 import { player } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
 import { momentPanel } from "./moment.js";
+import { summarise } from "./record.js";
+import { story } from "./story.js";
+import * as tapes from "./tape.js";
 
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
+/** Panels that an embedded page leaves out. */
+const UNEMBEDDED = ["explain", "limits", "footer"];
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
+/** How long a verdict stands before the next check is told, milliseconds. */
+const REST = 2500;
+/** Frames of what the agent does today with which the first story opens. */
+const OPENING = 5;
 
 const motion = matchMedia("(prefers-reduced-motion: reduce)");
-const worker = new Worker("worker.js", { type: "module" });
 /** What the link asks for. */
 let view = {};
-/** The run on show. */
+/** The run on show: `shown` is its check in the panel, `asked` the number of the one that is to come. */
 let run = {};
-/** Runs asked for so far: what the worker says of an older one comes too late. */
-let ticket = 0;
+/** Whether a person asked for a run: with reduced motion nothing starts by itself. */
+let begun = false;
+/** Whether the next check is told after every verdict. */
+let watching = false;
+let rest = 0;
 
-const moment = momentPanel(() => motion.matches);
+const moment = momentPanel(stopStory);
 const film = player((frame) => put({ frame }));
 const table = ledger(choose);
 const chart = curves(choose);
+const tale = story(moment, film, told);
 
 /** Changes the view and the link. */
 function put(changes) {
   for (const [key, value] of Object.entries(changes)) view[key] = value === null ? null : String(value);
   if (changes.frame !== undefined && view.check === null && run.shown) view.check = String(run.shown.number);
   link.write({ ...changes, check: view.check });
+  share();
 }
 
-/** Begins the run of the link, or of the default page where the link is malformed. */
-function begin(complaint = "") {
+/** Begins what the link asks for, or the default page where the link is malformed. */
+async function begin(complaint = "", first = false) {
   const found = link.read();
   const text = complaint || found.complaint;
-  const stop = text.endsWith("?") ? "" : ".";
+  const stop = /[.?]$/.test(text) ? "" : ".";
   say("error", text && `${text}${stop} This is the default page instead; correct the link and reload, or go on here.`);
   view = found.view;
   element("seed").value = found.seed;
-  for (const key of ["speed", "filter", "film"]) document.querySelector(`input[name=${key}][value="${view[key]}"]`).checked = true;
+  for (const key of ["speed", "filter", "film", "pace"]) {
+    document.querySelector(`input[name=${key}][value="${view[key]}"]`).checked = true;
+  }
   element("picture").checked = view.picture === "true";
   film.speed = Number(view.speed);
   film.picture = view.picture;
   table.filter = view.filter;
+  const hidden = [...(view.hide ?? "").split(","), ...(view.embed === "1" ? UNEMBEDDED : [])];
+  for (const panel of link.PANELS) element(panel).hidden = hidden.includes(panel);
+  // The heading is there for those who do not see the page around it.
+  element("header").classList.toggle("unseen", view.embed === "1");
   clear();
-  if (motion.matches && !run.begun) ended("Nothing starts by itself: press Run.");
-  else compute(found.configuration);
+  const mine = run;
+  if (view.tape) return fetchTape(view.tape);
+  if (first && found.plain && !text) await introduce();
+  // Something else may have been opened meanwhile.
+  if (run !== mine) return;
+  if (motion.matches && !begun) ended("Nothing starts by itself: press Run.");
+  else compute(found.configuration, view.token);
 }
 
 /** Forgets the last run. */
 function clear() {
-  run = { begun: run.begun, world: null, legs: new Map(), scores: new Map(), checks: [], spoken: 0 };
+  stopStory();
+  run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: 0 };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
+  for (const id of ["pictures", "again"]) element(id).hidden = true;
   table.clear();
   chart.clear();
   film.halt();
@@ -62,13 +90,16 @@ function clear() {
   moment.wait(`${what} appears here. The agent trains in the safe world first, which takes a few seconds.`);
 }
 
-function compute(configuration) {
-  ticket += 1;
-  run.begun = true;
+function compute(configuration, token = null) {
+  run.token = token;
+  element("run-title").textContent = "The run, live";
+  const lack = computer.lack();
+  if (lack) return receive.failed({ message: lack });
+  begun = true;
   element("status").textContent = "Computing.";
   element("stop").disabled = false;
   element("stop").textContent = "Pause run";
-  worker.postMessage({ kind: "start", configuration });
+  computer.start(configuration, token, view.pace, receive);
 }
 
 function ended(text) {
@@ -76,27 +107,123 @@ function ended(text) {
   element("stop").disabled = true;
 }
 
+/** The first seconds: a recorded refusal is told before anything is computed. */
+async function introduce() {
+  const mine = run;
+  try {
+    const response = await fetch("tape.json");
+    run.intro = tapes.read(await response.text(), "tape.json");
+  } catch {
+    // Without it the live run shows the first refusal.
+    return;
+  }
+  if (run !== mine) return;
+  const [check] = run.intro.checks;
+  run.world = run.intro.world;
+  run.configuration = run.intro.configuration;
+  run.asked = check.number;
+  element("legend").replaceChildren(...legend(run.world.legend));
+  show(check);
+  if (motion.matches) playTape(run.intro);
+  else tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
+  await painted();
+  performance.mark("first-frame");
+}
+
+/** Resolves when what was drawn is on the screen. */
+function painted() {
+  return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
+}
+
+/** Gives the curves and decisions of a tape to their panels. */
+function playTape({ legs, evaluations, checks }) {
+  receive.report({ legs, evaluations, checks: checks.map(summarise) });
+}
+
+/** Ends the story on show, because a person does something else. */
+function stopStory() {
+  clearTimeout(rest);
+  watching = false;
+  element("follow").textContent = "Keep watching";
+  if (tale.stop()) moment.turn(moment.last);
+}
+
+/** A story came to its verdict. */
+function told() {
+  performance.mark("verdict");
+  speak(summarise(run.shown));
+  if (watching) rest = setTimeout(goOn, REST);
+}
+
+/** Tells the check after this one, or ends the watching where there is none. */
+function goOn() {
+  const next = table.beside(run.shown.number, 1);
+  if (next === null) return stopStory();
+  put({ check: next, frame: null });
+  ask(next);
+}
+
 /** Opens a moment because a person chose it. */
 function choose(number) {
   if (number === null) return;
+  stopStory();
   put({ check: number, frame: null });
   ask(number);
 }
 
 function ask(number) {
   run.asked = number;
-  worker.postMessage({ kind: "moment", number });
+  if (run.recorded) open(run.recorded.get(number));
+  else computer.ask(number);
 }
 
-/** Shows the moment whose films have come; with `frame` in the link it stands there, else it plays. */
-function open(check) {
+/** Fills the panel with a check. */
+function show(check) {
+  const another = run.shown?.number !== check.number;
   run.shown = check;
-  moment.open(check, run.world, run.configuration, view.picture);
-  element("starts").hidden = check.modified.films.length < 2;
+  const stage = !another ? moment.stage : motion.matches ? 1 : moment.last;
+  moment.open(check, run.world, run.configuration, view.picture, stage);
+  element("starts").hidden = (check.modified.films?.length ?? 0) < 2;
   film.open(check, view.film, Number(view.frame ?? 0), run.world);
-  if (view.frame === null && !motion.matches) film.play();
   table.choose(check.number);
   chart.choose(check.number);
+  element("origin").textContent = origin(check);
+  share();
+}
+
+/** Opens the moment that has come; with `frame` in the link it stands there, else it plays. */
+function open(check) {
+  show(check);
+  if (watching) tale.play();
+  else if (view.frame === null && !motion.matches) film.play();
+}
+
+/** Where a decision was made, and whether it is the promised one. */
+function origin(check) {
+  const row = run.rows.get(check.number);
+  if (run.recorded || !row?.token) return "Recorded by the native program.";
+  const took = `Decided here in ${number(Math.max(0.01, row.seconds), 2)} seconds.`;
+  if (run.token && String(check.number) === view.check) {
+    return row.token === run.token
+      ? `${took} It is the decision that the token promises, to the last bit.`
+      : `${took} It is not the decision that the token promises.`;
+  }
+  const recorded = run.intro?.checks.find((other) => other.number === check.number);
+  if (!recorded) return took;
+  const { digests, modified, unmodified } = summarise(recorded);
+  const same = `${[row.digests, row.modified, row.unmodified]}` === `${[digests, modified, unmodified]}`;
+  return same ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
+}
+
+/** The link and the token of the moment on show. */
+function share() {
+  const address = new URL(location.href);
+  if (run.shown) address.searchParams.set("check", run.shown.number);
+  element("share-link").value = address.href;
+  const token = run.rows.get(run.shown?.number)?.token;
+  element("tokens").hidden = !token;
+  element("share-token").value = token ?? "";
+  element("copied").textContent = "";
 }
 
 /** The drawing of a leg, made when it is first heard of. */
@@ -138,41 +265,75 @@ function speak(check) {
 /** Asks for the moment that the link names, else for the first refusal. */
 function find(checks) {
   if (run.asked) return;
-  const wanted = view.check === null ? checks.find((check) => check.refused) : checks.find((check) => check.number === Number(view.check));
+  const wanted = checks.find((check) => (view.check === null ? check.refused : check.number === Number(view.check)));
   if (wanted) ask(wanted.number);
 }
 
+/** Nothing more will come: shows something where what the link asks for is not there. */
+function settle() {
+  if (run.asked) return;
+  const checks = [...run.rows.values()];
+  if (checks.length === 0) return moment.wait("No reward surprised this run, so there was nothing to decide.");
+  if (view.check !== null) {
+    say("error", `check: this run has no check ${view.check}, its last is ${checks.at(-1).number}. The first refusal is shown instead.`);
+    put({ check: null, frame: null });
+    find(checks);
+  }
+  if (!run.asked) ask(checks.at(-1).number);
+}
+
+/** The command that trains this run natively. */
+function command(configuration) {
+  const [name, ...rest] = configuration.split(" ");
+  const settings = rest.map((setting) => {
+    const [key, value] = setting.split("=");
+    return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
+  });
+  return `mcvl train ${name.slice(4)}${settings.join("")}`;
+}
+
+/** What the worker says; a tape says the same. */
 const receive = {
-  ready({ module, experiments, world, configuration }) {
+  ready({ module, experiments, world, configuration, settings, wanted }) {
     run.world = world;
+    run.configuration = configuration;
+    if (run.token) {
+      link.turnTo(configuration, { check: wanted });
+      view.check = String(wanted);
+      element("seed").value = link.read().seed;
+    }
     element("env").replaceChildren(...experiments.map((name) => make("option", name)));
     element("env").value = configuration.split(" ")[0].split("=")[1];
-    run.configuration = configuration;
+    controls.fill(settings);
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
-    const [name, ...rest] = configuration.split(" ");
-    const settings = rest.map((setting) => {
-      const [key, value] = setting.split("=");
-      return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
-    });
-    element("command").textContent = `mcvl train ${name.slice(4)}${settings.join("")}`;
+    element("command").textContent = command(configuration);
+    computer.keepOffline(module);
   },
 
   report(report) {
     for (const { arm, frame, step, steps, checks, refusals } of report.legs) {
+      // A tape has no live worlds.
+      if (!frame) continue;
       const { drawing, figures } = leg(arm);
       run.legs.get(arm).frame = frame;
       if (frame.truth) element("pictures").hidden = false;
       // Moving pictures only for those who want them: the last one always stays.
       if (!motion.matches || step === steps || drawing.childElementCount === 0) draw(drawing, frame, view.picture);
-      figures.textContent = `step ${step} of ${steps}${arm === "mc" ? `, ${checks} checks, ${refusals} refused` : ""}`;
+      figures.textContent = `step ${step} of ${steps}${arm === "mc" ? `, ${checks} ${checks === 1 ? "check" : "checks"}, ${refusals} refused` : ""}`;
     }
     report.evaluations.forEach(showScore);
     chart.add(report);
     if (report.checks.length === 0) return;
-    run.checks.push(...report.checks);
+    for (const row of report.checks) run.rows.set(row.number, row);
     table.add(report.checks, run.world.reward_scale);
-    speak(report.checks.at(-1));
+    if (run.shown) {
+      table.choose(run.shown.number);
+      element("origin").textContent = origin(run.shown);
+      share();
+    }
+    // A story says its own verdict.
+    if (!tale.going) speak(report.checks.at(-1));
     find(report.checks);
   },
 
@@ -182,16 +343,7 @@ const receive = {
 
   done({ seconds }) {
     ended(`Done in ${number(seconds, 1)} seconds.`);
-    if (run.asked) return;
-    const count = run.checks.length;
-    if (view.check !== null && count > 0) {
-      say("error", `check: this run has no check ${view.check}, its last is ${count}. The first refusal is shown instead.`);
-      link.write({ check: null, frame: null });
-      Object.assign(view, { check: null, frame: null });
-      find(run.checks);
-    }
-    if (!run.asked && count > 0) ask(run.checks.at(-1).number);
-    if (count === 0) moment.wait("No reward surprised this run, so there was nothing to decide.");
+    settle();
   },
 
   malformed({ message }) {
@@ -202,37 +354,120 @@ const receive = {
   failed({ message }) {
     say("error", message);
     ended("Nothing is running.");
+    if (run.intro && run.rows.size === 0) playTape(run.intro);
   },
 };
 
-worker.onmessage = ({ data }) => {
-  if (data.ticket === ticket) receive[data.kind](data);
-};
-worker.onerror = () => receive.failed({ message: "The module could not be loaded: `cargo xtask web` builds it." });
+/** Shows what a file has instead of a live run; false, with a message, where it is nothing to show. */
+function openTape(text, name) {
+  let tape;
+  try {
+    tape = tapes.read(text, name);
+  } catch (error) {
+    say("error", error.message);
+    return false;
+  }
+  computer.leave();
+  say("error", "");
+  clear();
+  run.world = tape.world;
+  run.configuration = tape.configuration ?? "";
+  run.recorded = new Map(tape.checks.map((check) => [check.number, check]));
+  element("run-title").textContent = "A recorded run";
+  element("legend").replaceChildren(...legend(tape.world.legend));
+  const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
+  ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
+  element("again").hidden = tape.configuration === null;
+  if (tape.configuration) element("command").textContent = command(tape.configuration);
+  playTape(tape);
+  settle();
+  return true;
+}
+
+async function fetchTape(address) {
+  const mine = run;
+  element("status").textContent = "Loading the tape.";
+  let complaint = "";
+  try {
+    const response = await fetch(address);
+    if (!response.ok) throw new Error(`this site answers ${response.status}`);
+    const text = await response.text();
+    if (run !== mine || openTape(text, address)) return;
+    complaint = element("error").textContent;
+  } catch (error) {
+    complaint = `tape: ${address} cannot be loaded, ${error.message}.`;
+  }
+  link.forget();
+  begin(complaint);
+}
+
+async function openFile(file) {
+  if (file && openTape(await file.text(), file.name)) link.write({ check: null, frame: null, tape: null, token: null });
+}
 
 element("controls").addEventListener("submit", (event) => {
   event.preventDefault();
-  link.write({ env: element("env").value, seed: element("seed").value || "0", check: null, frame: null });
-  run.begun = true;
+  const none = { check: null, frame: null, tape: null, token: null };
+  link.write({ env: element("env").value, seed: element("seed").value || "0", ...none, ...controls.changed() });
+  begun = true;
   begin();
 });
 
 element("stop").addEventListener("click", () => {
   const going = element("stop").textContent.startsWith("Pause");
-  worker.postMessage({ kind: going ? "pause" : "resume" });
+  computer.tell({ kind: going ? "pause" : "resume" });
   element("stop").textContent = going ? "Resume run" : "Pause run";
   element("status").textContent = going ? "Paused." : "Computing.";
 });
 
+element("again").addEventListener("click", () => {
+  link.turnTo(run.configuration, { check: run.shown?.number ?? null });
+  begun = true;
+  begin();
+});
+
+element("another").addEventListener("click", () => {
+  element("seed").value = String(BigInt.asUintN(64, BigInt(element("seed").value || "0") + 1n));
+  element("controls").requestSubmit();
+});
+
+element("slow").addEventListener("click", () => {
+  stopStory();
+  if (run.shown) tale.play();
+});
+
+element("follow").addEventListener("click", () => {
+  if (watching) return stopStory();
+  stopStory();
+  watching = true;
+  element("follow").textContent = "Stop watching";
+  goOn();
+});
+
 element("previous").addEventListener("click", () => choose(table.beside(run.asked ?? null, -1)));
 element("next").addEventListener("click", () => choose(table.beside(run.asked ?? null, 1)));
-element("oldest").addEventListener("click", () => choose(run.checks.find((check) => check.refused)?.number ?? null));
+element("oldest").addEventListener("click", () => choose([...run.rows.values()].find((check) => check.refused)?.number ?? null));
 element("newest").addEventListener("click", () => choose(table.newest()));
+
+document.addEventListener("click", async ({ target }) => {
+  const field = element(target.dataset?.copy ?? "");
+  if (!field) return;
+  field.select();
+  const copied = navigator.clipboard?.writeText(field.value);
+  element("copied").textContent = await (copied ?? Promise.reject()).then(
+    () => "Copied.",
+    () => "Selected: copy it with the keyboard or the menu.",
+  );
+});
 
 document.addEventListener("change", ({ target }) => {
   if (target.name === "speed") {
     put({ speed: target.value });
     film.speed = Number(view.speed);
+  }
+  if (target.name === "pace") {
+    put({ pace: target.value });
+    computer.tell({ kind: "pace", pace: view.pace });
   }
   if (target.name === "filter") {
     put({ filter: target.value });
@@ -240,14 +475,30 @@ document.addEventListener("change", ({ target }) => {
   }
   if (target.name === "film") {
     put({ film: target.value, frame: null });
+    stopStory();
     if (run.shown) open(run.shown);
   }
   if (target.id === "picture") {
     put({ picture: target.checked ? "true" : "seen" });
     film.picture = view.picture;
     for (const { drawing, frame } of run.legs.values()) draw(drawing, frame, view.picture);
-    if (run.shown) moment.open(run.shown, run.world, run.configuration, view.picture);
+    moment.picture = view.picture;
   }
+  if (target.id === "file") {
+    openFile(target.files[0]);
+    // The same file can be chosen again.
+    target.value = "";
+  }
+});
+
+document.addEventListener("dragover", (event) => {
+  event.preventDefault();
+  document.body.classList.add("dropping");
+});
+for (const kind of ["dragleave", "drop"]) document.addEventListener(kind, () => document.body.classList.remove("dropping"));
+document.addEventListener("drop", (event) => {
+  event.preventDefault();
+  openFile(event.dataTransfer.files[0]);
 });
 
 document.addEventListener("keydown", (event) => {
@@ -256,8 +507,9 @@ document.addEventListener("keydown", (event) => {
   if (event.key === ",") element("previous").click();
   if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex]")) {
     event.preventDefault();
+    stopStory();
     film.toggle();
   }
 });
 
-begin();
+begin("", true);

@@ -1,6 +1,7 @@
 // Computes a run in slices, away from the page: polls, collects what the run says, and reports a few times
 // per second. Checks are kept whole, with their films, for the page to ask for one. Everything that is
 // decided is decided in the module.
+import { summarise } from "./record.js";
 
 /** A function that returns a vector: browsers without SIMD do not accept it. */
 const SIMD_PROBE = new Uint8Array([
@@ -9,21 +10,28 @@ const SIMD_PROBE = new Uint8Array([
 /** A slice of work aims at this many milliseconds, and the page hears of it this often. */
 const SLICE = 20;
 const REPORT = 100;
+/** Environment steps per second at speed 1. */
+const STEPS = 8;
 
+/** Number of the run that is computed; what an older one says goes nowhere. */
 let current = 0;
 /** The checks of the current run as JSON text, by number. */
 let moments = new Map();
+/** What is still to be reported. */
+let [evaluations, checks] = [[], []];
 /** Resolves when the run may go on; `goOn` resolves it. */
 let gate = Promise.resolve();
 let goOn = () => {};
+/** Environment steps per second of each learner; Infinity for as fast as it goes. */
+let rate = Infinity;
 
 const requests = {
-  start({ configuration }) {
-    current += 1;
+  start({ ticket, configuration, token }) {
+    current = ticket;
     moments = new Map();
+    [evaluations, checks] = [[], []];
     requests.resume();
-    const ticket = current;
-    compute(configuration, ticket).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
+    compute(configuration, token, ticket).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
   },
   pause() {
     gate = new Promise((resolve) => (goOn = resolve));
@@ -31,6 +39,14 @@ const requests = {
   resume() {
     goOn();
     gate = Promise.resolve();
+  },
+  /** Ends the run; nothing more is heard of it. */
+  leave({ ticket }) {
+    current = ticket;
+    requests.resume();
+  },
+  pace({ pace }) {
+    rate = pace === "max" ? Infinity : STEPS * Number(pace);
   },
   moment({ number }) {
     if (moments.has(number)) postMessage({ kind: "moment", ticket: current, check: JSON.parse(moments.get(number)) });
@@ -47,23 +63,27 @@ async function load() {
   const name = WebAssembly.validate(SIMD_PROBE) ? "simd" : "scalar";
   const module = await import(`./pkg/${name}.js`);
   await module.default({ module_or_path: new URL(`pkg/${name}_bg.wasm`, import.meta.url) });
-  return { name, Run: module.Run, experiments: JSON.parse(module.experiments()) };
+  return { name, Run: module.Run, readToken: module.readToken, experiments: JSON.parse(module.experiments()) };
 }
 
 /** Safe training, then both learners side by side from the switch. */
-async function compute(configuration, ticket) {
-  const { name, Run, experiments } = await loaded;
+async function compute(configuration, token, ticket) {
+  const { name, Run, readToken, experiments } = await loaded;
   if (ticket !== current) return;
   const start = performance.now();
   let safe;
+  let number = null;
   try {
+    if (token) ({ configuration, number } = JSON.parse(readToken(token)));
     safe = new Run(configuration);
   } catch (error) {
     postMessage({ kind: "malformed", ticket, message: error.message });
     return;
   }
   const world = JSON.parse(safe.world());
-  postMessage({ kind: "ready", ticket, module: name, experiments, world, configuration: safe.configuration() });
+  const settings = JSON.parse(safe.settings());
+  configuration = safe.configuration();
+  postMessage({ kind: "ready", ticket, module: name, experiments, world, configuration, settings, wanted: number });
   if (!(await follow([safe], "switch", ticket))) return;
   const both = [safe.fork("baseline"), safe.fork("mc")];
   if (!(await follow(both, "done", ticket))) return;
@@ -73,45 +93,64 @@ async function compute(configuration, ticket) {
 /** Polls runs in turn until all have the status `end`; false where another run was asked for meanwhile. */
 async function follow(runs, end, ticket) {
   const pending = new Set(runs);
-  let budget = 16;
+  const states = new Map(runs.map((run) => [run, { budget: 16, due: 0, step: 0, began: 0 }]));
   let reported = performance.now();
   while (pending.size > 0) {
+    let wait = Infinity;
     for (const run of pending) {
+      const state = states.get(run);
       const before = performance.now();
+      if (before < state.due) {
+        wait = Math.min(wait, state.due - before);
+        continue;
+      }
+      wait = 0;
+      // Slowed down, a slice is one step at most; forecasts are not slowed down.
+      const budget = rate === Infinity || state.began ? state.budget : 1;
       if (run.poll(budget) === end) pending.delete(run);
-      const spent = performance.now() - before;
-      budget = Math.max(1, Math.min(4096, Math.round(budget * Math.min(2, SLICE / Math.max(spent, 0.1)))));
+      const now = performance.now();
+      if (budget === state.budget) state.budget = adapt(budget, now - before);
+      const { step, check } = JSON.parse(run.progress());
+      // A check that is under way began with the slice in which it was first seen.
+      keep(run, now - (state.began || before));
+      state.began = check === null ? 0 : state.began || before;
+      if (step > state.step && rate !== Infinity) state.due = now + (1000 * (step - state.step)) / rate;
+      state.step = step;
     }
     if (pending.size === 0 || performance.now() - reported > REPORT) {
       reported = performance.now();
       postMessage({ ticket, ...report(runs) });
     }
-    await nextTask();
+    if (wait > 0 && wait < Infinity) await new Promise((resolve) => setTimeout(resolve, Math.min(wait, REPORT)));
+    else await nextTask();
     await gate;
     if (ticket !== current) return false;
   }
   return true;
 }
 
-/** What happened since the last report, without the films of the checks. */
-function report(runs) {
-  const legs = [];
-  const checks = [];
-  const evaluations = [];
-  for (const run of runs) {
-    legs.push({ ...JSON.parse(run.progress()), frame: JSON.parse(run.frame()) });
-    for (const event of JSON.parse(run.events())) {
-      if (event.kind === "evaluation") evaluations.push(event);
-      if (event.kind === "check") {
-        moments.set(event.number, JSON.stringify(event));
-        const { number, step, predicted, reward_raw, margin, hack } = event;
-        const [modified, unmodified] = [event.modified.utility, event.unmodified.utility];
-        const refused = event.verdict === "refuse";
-        checks.push({ number, step, predicted, reward_raw, modified, unmodified, margin, refused, hack });
-      }
+/** The budget of the next slice, from what this one took. */
+function adapt(budget, spent) {
+  return Math.max(1, Math.min(4096, Math.round(budget * Math.min(2, SLICE / Math.max(spent, 0.1)))));
+}
+
+/** Takes over what a run says; a check that was decided in this slice took so many milliseconds. */
+function keep(run, spent) {
+  for (const event of JSON.parse(run.events())) {
+    if (event.kind === "evaluation") evaluations.push(event);
+    if (event.kind === "check") {
+      moments.set(event.number, JSON.stringify(event));
+      checks.push({ ...summarise(event), seconds: spent / 1000, token: run.token(event.number) });
     }
   }
-  return { kind: "report", legs, checks, evaluations };
+}
+
+/** What happened since the last report, without the films of the checks. */
+function report(runs) {
+  const legs = runs.map((run) => ({ ...JSON.parse(run.progress()), frame: JSON.parse(run.frame()) }));
+  const said = { kind: "report", legs, checks, evaluations };
+  [evaluations, checks] = [[], []];
+  return said;
 }
 
 /** Lets messages in; unlike a timer, it does not wait. */

@@ -36,4 +36,5 @@ pub mod record;
 pub mod replay;
 pub mod rng;
 pub mod run;
+pub mod token;
 pub mod trainer;

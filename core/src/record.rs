@@ -278,6 +278,24 @@ pub struct CheckRecord {
 }
 
 impl CheckRecord {
+    /// The decision alone: what a ledger has in a line and a token promises.
+    #[must_use]
+    pub fn without_films(&self) -> Self {
+        let bare = |future: &FutureRecord| FutureRecord {
+            films: Vec::new(),
+            rollouts: future.rollouts.clone(),
+            digest: future.digest.clone(),
+            ..*future
+        };
+        Self {
+            modified: bare(&self.modified),
+            unmodified: bare(&self.unmodified),
+            before: self.before.clone(),
+            after: self.after.clone(),
+            ..*self
+        }
+    }
+
     /// Whether the decision was wrong in truth: a hack accepted or an honest transition refused.
     pub fn wrong(&self) -> bool {
         self.hack == (self.verdict == Verdict::Accept)

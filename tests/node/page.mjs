@@ -1,9 +1,21 @@
-// Opens addresses of the page in Chromium, or runs scripts in the page that is open, waits after each until
-// the page is done, and prints what stands there, as a JSON array. Arguments: (ADDRESS | do:SCRIPT)...
+// Drives Chromium through the page. Reads commands, a JSON array of texts, and prints, as another, what came of each:
+//
+//   ADDRESS or go:ADDRESS   visits it and waits until the page is done; `go:` does not wait
+//   do:SCRIPT               runs it in the page and waits until the page is done
+//   eval:SCRIPT             runs it, waits for a promise, and gives its value
+//   until:SCRIPT            runs it until its value is true, and gives the milliseconds since the last visit
+//   keys:NAME,NAME,...      types keys: Tab, Enter, Space, Comma, or a character
+//   cdp:COMMAND JSON        a command of the DevTools protocol
+//   shot:FILE               writes what is visible as PNG; full:FILE the whole page
+//   axe:                    runs axe and gives its violations
+//   kill:PID                ends a process
+//
+// After a visit or a `do:` the result is what stands on the page; the browser's log comes last.
 import { spawn, spawnSync } from "node:child_process";
-import { mkdtemp, rm } from "node:fs/promises";
+import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { text } from "node:stream/consumers";
 
 const SWITCHES = [
   "--headless=new",
@@ -13,9 +25,15 @@ const SWITCHES = [
   "--disable-background-networking",
   "--disable-component-update",
   "--disable-sync",
+  "--hide-scrollbars",
+  "--window-size=1440,900",
 ];
 /** Longest wait for a run, milliseconds. */
 const PATIENCE = 120_000;
+/** How often the page is looked at, milliseconds. */
+const LOOK = 50;
+/** What keys send. */
+const KEYS = { Tab: "\ue004", Enter: "\ue007", Space: " ", ArrowRight: "\ue014", ArrowLeft: "\ue012", Comma: ",", Period: "." };
 
 /** What is read from the page, in the page. */
 const READ = `
@@ -29,11 +47,13 @@ const READ = `
     scores: [...document.querySelectorAll("#scores tr")].map((row) => row.innerText.split("\\t")),
     moment: document.getElementById("moment").hidden ? "" : text("moment-name"),
     stamp: text("stamp"),
+    origin: text("origin"),
+    token: document.getElementById("share-token").value,
     ratings: [text("modified-utility"), text("unmodified-utility")],
     boards: [...document.querySelectorAll(".future .board")].map((board) => board.ariaLabel ?? ""),
     step: text("frame"),
     play: text("play"),
-    stage: document.getElementById("storyboard").hidden ? "" : text("stage"),
+    stage: text("stage"),
     hidden: document.querySelectorAll("#verdicts tr[hidden]").length,
     link: location.search,
     requests: performance.getEntriesByType("resource").map((entry) => new URL(entry.name).origin),
@@ -42,7 +62,7 @@ const READ = `
 const profile = await mkdtemp(join(tmpdir(), "mcvl-chromium-"));
 const driver = spawn("chromedriver", ["--port=0"], { stdio: ["ignore", "pipe", "inherit"] });
 try {
-  console.log(JSON.stringify(await visit(await port(driver), profile, process.argv.slice(2))));
+  console.log(JSON.stringify(await drive(await port(driver), JSON.parse(await text(process.stdin)))));
 } finally {
   driver.kill("SIGKILL");
   spawnSync("pkill", ["-KILL", "-f", profile]);
@@ -65,20 +85,20 @@ function port(driver) {
 /** Whether the run is over and the check of the link, or else some check, is on show. */
 function settled(page) {
   if (page.error || page.status.startsWith("Nothing")) return true;
-  if (!page.status.startsWith("Done")) return false;
+  if (!page.status.startsWith("Done") && !page.status.includes("checks,")) return false;
   const check = new URLSearchParams(page.link).get("check");
   return page.verdicts.length === 0 || page.moment.startsWith(check ? `Check ${check},` : "Check ");
 }
 
-async function visit(port, profile, addresses) {
-  const call = async (path, method = "GET", body) => {
-    const options = { method, body: body && JSON.stringify(body) };
+async function drive(port, commands) {
+  const call = async (path, body) => {
+    const options = body && { method: "POST", body: JSON.stringify(body) };
     const response = await fetch(`http://127.0.0.1:${port}/session${path}`, options);
     const { value } = await response.json();
-    if (!response.ok) throw new Error(`${method} ${path}: ${value.message}`);
+    if (!response.ok) throw new Error(`${path}: ${value.message}`);
     return value;
   };
-  const { sessionId } = await call("", "POST", {
+  const { sessionId } = await call("", {
     capabilities: {
       alwaysMatch: {
         "goog:chromeOptions": { args: [...SWITCHES, `--user-data-dir=${profile}`] },
@@ -86,20 +106,66 @@ async function visit(port, profile, addresses) {
       },
     },
   });
-  const read = () => call(`/${sessionId}/execute/sync`, "POST", { script: READ, args: [] });
+  const session = (path, body) => call(`/${sessionId}/${path}`, body);
+  const run = (script) => session("execute/sync", { script: `return (async () => { ${script} })()`, args: [] });
+  const cdp = (cmd, params = {}) => session("goog/cdp/execute", { cmd, params });
+  let visited = Date.now();
+
+  /** Looks until `good` is true of what `look` gives. */
+  const wait = async (look, good, what) => {
+    for (const start = Date.now(); ; ) {
+      const seen = await look();
+      if (good(seen)) return seen;
+      if (Date.now() - start > PATIENCE) throw new Error(`not in ${PATIENCE} ms: ${what}; the page: ${JSON.stringify(await run(READ))}`);
+      await new Promise((resolve) => setTimeout(resolve, LOOK));
+    }
+  };
+  const read = () => wait(() => run(READ), settled, "the page is done");
+  const visit = async (url) => {
+    visited = Date.now();
+    await session("url", { url });
+  };
+  const shoot = async (file, whole) => {
+    const { data } = await cdp("Page.captureScreenshot", { format: "png", captureBeyondViewport: whole });
+    await writeFile(file, Buffer.from(data, "base64"));
+  };
+  const verbs = {
+    go: visit,
+    do: async (script) => (await run(script), read()),
+    eval: run,
+    until: async (script) => {
+      await wait(() => run(script), Boolean, script);
+      return Date.now() - visited;
+    },
+    keys: async (names) => {
+      const actions = names.split(",").flatMap((name) => {
+        const value = KEYS[name] ?? name;
+        return [{ type: "keyDown", value }, { type: "keyUp", value }];
+      });
+      await session("actions", { actions: [{ type: "key", id: "keys", actions }] });
+    },
+    cdp: async (text) => {
+      const [, command, parameters] = text.match(/^(\S+)\s*(.*)$/s);
+      return cdp(command, parameters ? JSON.parse(parameters) : {});
+    },
+    shot: (file) => shoot(file, false),
+    full: (file) => shoot(file, true),
+    axe: async () => {
+      const axe = await readFile(new URL("node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
+      await session("execute/sync", { script: axe, args: [] });
+      return run(`
+        const { violations } = await axe.run();
+        return violations.map(({ id, help, nodes }) => ({ id, help, where: nodes.map((node) => node.html) }));`);
+    },
+    kill: (pid) => void process.kill(Number(pid), "SIGKILL"),
+    http: async (rest) => (await visit(`http:${rest}`), read()),
+  };
+
   const seen = [];
-  for (const what of addresses) {
-    const script = what.startsWith("do:") && what.slice(3);
-    if (script) await call(`/${sessionId}/execute/sync`, "POST", { script, args: [] });
-    else await call(`/${sessionId}/url`, "POST", { url: what });
-    const start = Date.now();
-    let page;
-    do {
-      await new Promise((resolve) => setTimeout(resolve, 200));
-      page = await read();
-    } while (!settled(page) && Date.now() - start < PATIENCE);
-    const log = await call(`/${sessionId}/se/log`, "POST", { type: "browser" });
-    seen.push({ ...page, log: log.map((entry) => entry.message) });
+  for (const command of commands) {
+    const [, verb, rest] = command.match(/^(\w+):(.*)$/s);
+    seen.push((await verbs[verb](rest)) ?? null);
   }
-  return seen;
+  const log = await session("se/log", { type: "browser" });
+  return [...seen, log.map((entry) => entry.message)];
 }

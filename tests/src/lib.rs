@@ -6,10 +6,12 @@ pub mod golden;
 pub mod source;
 
 use std::env;
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Read as _, Seek as _, Write as _};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
@@ -82,6 +84,26 @@ impl Server {
         Self { process, _stdout: stdout, link }
     }
 
+    /// What it answers to a request for a path: the head in lower case, and the body.
+    ///
+    /// # Panics
+    /// If it does not answer in 20 seconds.
+    pub fn get(&self, path: &str) -> (String, String) {
+        let address = self.origin().strip_prefix("http://").expect("pages are served without encryption");
+        let mut stream = TcpStream::connect(address).expect("the server listens");
+        stream.set_read_timeout(Some(Duration::from_secs(20))).expect("20 seconds are a time");
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("it reads");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("it answers with text");
+        let (head, body) = answer.split_once("\r\n\r\n").expect("an answer has a head");
+        (head.to_lowercase(), body.to_owned())
+    }
+
+    /// Its process, for tests in which it goes away.
+    pub fn id(&self) -> u32 {
+        self.process.id()
+    }
+
     /// Scheme, host and port.
     pub fn origin(&self) -> &str {
         self.link.split_once("/?").map_or(self.link.trim_end_matches('/'), |(origin, _)| origin)
@@ -103,6 +125,18 @@ impl Drop for Server {
 pub fn node(script: &str, arguments: &[&str]) -> Result<String> {
     let path = root().join("tests/node").join(script);
     run(Command::new("node").arg(path).args(arguments))
+}
+
+/// Runs a JavaScript module of `tests/node` that reads its standard input, and returns what it prints.
+///
+/// # Errors
+/// If Node is not installed or the script fails.
+pub fn node_reading(script: &str, input: &str) -> Result<String> {
+    let path = root().join("tests/node").join(script);
+    let mut file = tempfile::tempfile()?;
+    file.write_all(input.as_bytes())?;
+    file.rewind()?;
+    run(Command::new("node").arg(path).stdin(file))
 }
 
 /// Runs a command and returns what it prints.

@@ -4,11 +4,12 @@
 //! page reads exactly what the native program writes to its logs.
 #![forbid(unsafe_code)]
 
-use mcvl_core::config::{Config, ConfigError, Learner};
+use mcvl_core::config::{Config, ConfigError, KEYS, Learner};
 use mcvl_core::exact;
 use mcvl_core::experiment::EXPERIMENTS;
 use mcvl_core::record::Event;
 use mcvl_core::run::{Budget, Run, Status};
+use mcvl_core::token::{Token, decision_digest};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use wasm_bindgen::prelude::*;
@@ -41,11 +42,23 @@ pub fn experiments() -> String {
     text(&names)
 }
 
+/// What a replay token names, as a JSON object: `configuration` and `number` of the check.
+///
+/// # Errors
+/// If the text is no token, or was cut or altered.
+#[wasm_bindgen(js_name = readToken)]
+pub fn read_token(token: &str) -> Result<String, JsError> {
+    let token: Token = token.parse().map_err(|error: String| JsError::new(&error))?;
+    Ok(text(&json!({ "configuration": token.config.to_string(), "number": token.number })))
+}
+
 /// A run and the events that the page has not read yet.
 #[wasm_bindgen(js_name = Run)]
 pub struct Handle {
     run: Run,
     events: Vec<Event>,
+    /// Digests of all decisions so far, for tokens.
+    decisions: Vec<u64>,
 }
 
 #[wasm_bindgen(js_class = Run)]
@@ -57,7 +70,7 @@ impl Handle {
     #[wasm_bindgen(constructor)]
     pub fn new(configuration: &str) -> Result<Handle, JsError> {
         let config: Config = configuration.parse()?;
-        Ok(Self { run: Run::new(&config), events: Vec::new() })
+        Ok(Self { run: Run::new(&config), events: Vec::new(), decisions: Vec::new() })
     }
 
     /// Does a bounded amount of work and returns `working`, `switch` or `done`.
@@ -65,8 +78,13 @@ impl Handle {
     /// # Errors
     /// If training diverged: the run is then of no further use.
     pub fn poll(&mut self, budget: u32) -> Result<String, JsError> {
-        let events = &mut self.events;
-        self.run.poll(Budget(budget), &mut |event: &Event| events.push(event.clone()))?;
+        let Self { run, events, decisions } = self;
+        run.poll(Budget(budget), &mut |event: &Event| {
+            if let Event::Check(check) = event {
+                decisions.push(decision_digest(&text(&check.without_films())));
+            }
+            events.push(event.clone());
+        })?;
         Ok(self.status())
     }
 
@@ -83,6 +101,12 @@ impl Handle {
     /// The events since the last call, oldest first, as a JSON array.
     pub fn events(&mut self) -> String {
         text(&core::mem::take(&mut self.events))
+    }
+
+    /// The replay token of a check of this run, if it was made: `mcvl replay` and the page take it.
+    pub fn token(&self, number: u32) -> Option<String> {
+        let digest = *self.decisions.get(number.checked_sub(1)? as usize)?;
+        Some(Token { config: self.run.config().clone(), number, digest }.to_string())
     }
 
     /// Figures for progress displays, as a JSON object.
@@ -115,6 +139,30 @@ impl Handle {
         self.run.config().to_string()
     }
 
+    /// Every setting of the run as a JSON array: its name, its value, the value of an untouched run of this
+    /// world, meaning and range in words, and the source.
+    ///
+    /// # Errors
+    /// Never, as long as the run's own world and preset exist.
+    pub fn settings(&self) -> Result<String, JsError> {
+        let config = self.run.config();
+        let untouched = Config::new(&config.env, config.preset)?;
+        let settings: Vec<Value> = KEYS
+            .iter()
+            .map(|key| {
+                json!({
+                    "name": key.name,
+                    "value": key.value(config),
+                    "standard": key.value(&untouched),
+                    "help": key.help,
+                    "range": key.range(),
+                    "source": key.source,
+                })
+            })
+            .collect();
+        Ok(text(&settings))
+    }
+
     /// A copy that continues from the switch with another learner, `mc` or `baseline`. Both share the
     /// Safe training that is already done.
     ///
@@ -124,7 +172,7 @@ impl Handle {
         let run = self.run.fork(learner(agent)?).ok_or_else(|| {
             JsError::new("fork: the run is past the switch to the Full world; fork it while its status is `switch`")
         })?;
-        Ok(Self { run, events: Vec::new() })
+        Ok(Self { run, events: Vec::new(), decisions: Vec::new() })
     }
 }
 

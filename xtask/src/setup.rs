@@ -29,6 +29,8 @@ enum Source {
     Target(&'static str),
     /// A package of a Debian-like distribution.
     Apt(&'static str),
+    /// The packages that `package-lock.json` in a folder of the repository pins, one of them by name.
+    Npm(&'static str, &'static str),
     /// A program from crates.io, compiled here.
     Crate(&'static str),
 }
@@ -65,6 +67,13 @@ const PARTS: &[Part] = &[
         source: Source::Apt("chromium-driver"),
         programs: &["chromedriver"],
     },
+    Part { why: "installs axe", purpose: Purpose::Test, source: Source::Apt("npm"), programs: &["npm"] },
+    Part {
+        why: "tests of the page's accessibility",
+        purpose: Purpose::Test,
+        source: Source::Npm("tests/node", "axe-core"),
+        programs: &[],
+    },
     Part {
         why: "a faster test runner; without it `cargo test` runs the same tests",
         purpose: Purpose::Comfort,
@@ -77,6 +86,7 @@ impl Part {
     fn present(&self) -> bool {
         match self.source {
             Source::Target(target) => has_target(target),
+            Source::Npm(folder, name) => process::root().join(folder).join("node_modules").join(name).is_dir(),
             Source::Apt(_) | Source::Crate(_) => process::exists(self.programs),
         }
     }
@@ -85,6 +95,7 @@ impl Part {
         let what = match self.source {
             Source::Target(target) => format!("the compilation target {target} (rustup)"),
             Source::Apt(package) => format!("the package {package} (apt-get)"),
+            Source::Npm(_, name) => format!("the package {name} (npm)"),
             Source::Crate(name) => format!("the program {name} (cargo install, compiles for some minutes)"),
         };
         format!("{what}: {}", self.why)
@@ -104,15 +115,23 @@ pub fn ensure(purpose: Purpose) -> Result<()> {
     for part in &missing {
         eprintln!("setup: will install {}", part.describe());
     }
-    let mut packages = Vec::new();
+    // What others need comes first.
+    let packages: Vec<&str> = missing
+        .iter()
+        .filter_map(|part| if let Source::Apt(package) = part.source { Some(package) } else { None })
+        .collect();
+    if !packages.is_empty() {
+        add_packages(&packages)?;
+    }
     for part in missing {
         match part.source {
             Source::Target(target) => add_target(target)?,
-            Source::Apt(package) => packages.push(package),
+            Source::Apt(_) => {}
+            Source::Npm(folder, _) => add_locked(folder)?,
             Source::Crate(name) => add_crate(name)?,
         }
     }
-    if packages.is_empty() { Ok(()) } else { add_packages(&packages) }
+    Ok(())
 }
 
 /// Whether the compiler in use has a standard (or core) library for a target.
@@ -163,6 +182,15 @@ fn add_packages(packages: &[&str]) -> Result<()> {
     apt(&["update", "--quiet"])
         .and_then(|()| apt(&install))
         .with_context(|| format!("packages are missing: type `{typed}` where there is network access"))
+}
+
+/// Installs what a folder's `package-lock.json` pins.
+fn add_locked(folder: &str) -> Result<()> {
+    let npm = process::run(process::command("npm").args(["ci", "--no-audit", "--no-fund", "--prefix", folder]));
+    if npm.is_ok() {
+        return Ok(());
+    }
+    bail!("npm packages are missing: type `npm ci --prefix {folder}` where there is network access")
 }
 
 /// Installs a program from crates.io; going without one is no failure.

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use mcvl::report::film;
-use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, State, Token};
+use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, State};
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::record::{CheckRecord, Verdict};
 use mcvl_core::run::Run;
+use mcvl_core::token::Token;
 use serde_json::json;
 
 use super::terminal::{Terminal, wrap};

@@ -3,10 +3,11 @@
 use std::io::Write as _;
 
 use clap::Args;
-use mcvl::runs::{self, Chain, LedgerLine, Reference, STEP_COLUMNS, SeedDir, Token};
+use mcvl::runs::{self, Chain, LedgerLine, Reference, STEP_COLUMNS, SeedDir};
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
 use mcvl_core::run::{Budget, Run, RunError, Status};
+use mcvl_core::token::Token;
 
 use super::inspect::Found;
 use super::terminal::Terminal;

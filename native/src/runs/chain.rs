@@ -9,6 +9,7 @@ use std::fmt::Write as _;
 use std::io::{self, Read};
 
 use mcvl_core::record::CheckRecord;
+use mcvl_core::token::decision_digest;
 use sha2::{Digest as _, Sha256};
 
 const TAPE: &str = ",\"tape\":\"";
@@ -81,7 +82,7 @@ pub struct LedgerLine {
 impl LedgerLine {
     /// Seals a check; `chain` moves on.
     pub fn seal(check: &CheckRecord, tape: &str, chain: &mut Chain) -> Self {
-        let decision = decision(check);
+        let decision = serde_json::to_string(&check.without_films()).expect("a check is plain data");
         chain.advance(&unsealed(&decision, tape));
         Self { decision, tape: tape.to_owned(), chain: chain.value().to_owned() }
     }
@@ -107,10 +108,9 @@ impl LedgerLine {
         serde_json::from_str(&self.decision)
     }
 
-    /// The first 64 bits of the decision's digest: what a replay token promises.
+    /// The digest of the decision that a replay token promises.
     pub fn digest(&self) -> u64 {
-        let digest = Sha256::digest(&self.decision);
-        u64::from_be_bytes(digest[..8].try_into().expect("a digest has 32 bytes"))
+        decision_digest(&self.decision)
     }
 
     /// The text in the file, without the line feed.
@@ -118,14 +118,6 @@ impl LedgerLine {
         let open = unsealed(&self.decision, &self.tape);
         format!("{}{CHAIN}{}\"}}", &open[..open.len() - 1], self.chain)
     }
-}
-
-/// JSON of a check without its films.
-fn decision(check: &CheckRecord) -> String {
-    let mut bare = check.clone();
-    bare.modified.films.clear();
-    bare.unmodified.films.clear();
-    serde_json::to_string(&bare).expect("a check is plain data")
 }
 
 /// The line before it is sealed.

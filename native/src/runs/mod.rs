@@ -23,7 +23,6 @@ mod plan;
 mod pool;
 mod read;
 mod tape;
-mod token;
 mod verify;
 mod write;
 
@@ -43,7 +42,6 @@ pub use plan::{Origin, Plan, Setting};
 pub use pool::{Control, Outcome, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
 pub use tape::run_tape;
-pub use token::Token;
 pub use verify::{Finding, Verification, verify};
 pub use write::{Lock, STEP_COLUMNS, SeedWriter, step_row, write_atomic};
 

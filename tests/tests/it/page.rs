@@ -1,11 +1,16 @@
 //! The page in a browser: it computes what the native program computes, asks nobody else, and says what is
 //! wrong with a link.
 
+use std::fs;
+use std::process::Command;
+
 use mcvl_core::config::Config;
+use mcvl_core::exact;
 use mcvl_core::record::{CheckRecord, Event, Verdict};
 use mcvl_core::run::{Budget, Run, Status};
-use mcvl_tests::{Server, node};
+use mcvl_tests::{Server, mcvl, node_reading, root, run, scratch};
 use serde::Deserialize;
+use serde_json::Value;
 
 /// A short run with checks.
 const LINK: &str = "seed=3&safe_steps=300&full_steps=100&epsilon_decay=100&forecast=50&evaluations=2&rollouts=2";
@@ -28,8 +33,10 @@ struct Page {
     play: String,
     hidden: usize,
     link: String,
+    origin: String,
+    token: String,
+    stage: String,
     requests: Vec<String>,
-    log: Vec<String>,
 }
 
 /// The checks of the run that the link names, computed here.
@@ -45,14 +52,28 @@ fn native_checks() -> Vec<CheckRecord> {
     checks
 }
 
-/// What stands on the page after each address or `do:SCRIPT`; no page may complain or ask anybody else.
+/// What came of every command of `page.mjs`; the browser may not complain.
+fn drive(commands: &[&str]) -> Vec<Value> {
+    let (log, seen) = drive_and_listen(commands);
+    assert!(log.is_empty(), "the browser complains: {log:?}");
+    seen
+}
+
+/// The browser's log, and what came of every command.
+fn drive_and_listen(commands: &[&str]) -> (Vec<String>, Vec<Value>) {
+    let mut seen: Vec<Value> =
+        serde_json::from_str(&node_reading("page.mjs", &serde_json::to_string(commands).unwrap()).unwrap()).unwrap();
+    let log = serde_json::from_value(seen.pop().unwrap()).unwrap();
+    assert_eq!(seen.len(), commands.len());
+    (log, seen)
+}
+
+/// What stands on the page after each address or `do:SCRIPT`; no page may ask anybody else.
 fn pages(server: &Server, visits: &[String]) -> Vec<Page> {
-    let visits: Vec<&str> = visits.iter().map(String::as_str).collect();
-    let pages: Vec<Page> = serde_json::from_str(&node("page.mjs", &visits).unwrap()).unwrap();
-    assert_eq!(pages.len(), visits.len());
+    let seen = drive(&visits.iter().map(String::as_str).collect::<Vec<_>>());
+    let pages: Vec<Page> = seen.into_iter().map(|page| serde_json::from_value(page).unwrap()).collect();
     for page in &pages {
         assert!(!page.requests.is_empty() && page.requests.iter().all(|origin| origin == server.origin()), "{page:?}");
-        assert!(page.log.is_empty(), "the browser complains: {:?}", page.log);
     }
     pages
 }
@@ -139,4 +160,357 @@ fn a_malformed_link_is_answered() {
         assert!(page.error.starts_with(said), "{}", page.error);
         assert!(!page.status.starts_with("Nothing"), "the page goes on: {}", page.status);
     }
+}
+
+/// An address of the page.
+fn at(server: &Server, query: &str) -> String {
+    format!("{}/{query}", server.origin())
+}
+
+/// What stands on the page.
+fn page(value: &Value) -> Page {
+    serde_json::from_value(value.clone()).unwrap()
+}
+
+/// Waits until the first refusal is on show with everything.
+const TOLD: &str = "until:return document.getElementById('stage').textContent.startsWith('6 of 6')";
+
+#[test]
+fn the_first_refusal_is_told_without_a_click_and_derived_again() {
+    let server = Server::start(None);
+    let told = "return document.getElementById('stage').textContent";
+    let hidden = "return [...document.querySelectorAll('.later')].map((part) => part.className || part.id)";
+    let (address, first) = (format!("go:{}", at(&server, "")), format!("eval:{told}"));
+    let framed = "until:return performance.getEntriesByName('first-frame').length === 1";
+    let stamp = "eval:return getComputedStyle(document.getElementById('stamp')).visibility";
+    let row = "until:return document.getElementById('origin').textContent.startsWith('Decided here')";
+    let seen = drive(&[&address, framed, &first, stamp, TOLD, &format!("eval:{hidden}"), stamp, row, "do:"]);
+    assert_eq!(seen[2], "What it does today", "the story begins before the surprise");
+    assert_eq!((&seen[3], &seen[6]), (&"hidden".into(), &"visible".into()), "the verdict comes last");
+    assert_eq!(seen[5], Value::Array(Vec::new()), "all is told");
+    let page = page(&seen[8]);
+    assert_eq!((page.stamp.as_str(), page.moment.as_str()), ("REFUSED", "Check 2, step 7 of the new world"));
+    assert!(page.origin.ends_with("It is the recorded one, to the last bit."), "{}", page.origin);
+}
+
+#[test]
+fn the_recorded_refusal_is_what_this_program_records() {
+    let folder = scratch();
+    let place = folder.path().join("run");
+    run(Command::new(mcvl()).args(["train", "box-moving", "--seed", "0", "-q", "-o"]).arg(&place)).unwrap();
+    let (_, tape) = Server::start(Some(&place)).get("/run/seed-0.json");
+    let mut full: Value = serde_json::from_str(&tape).unwrap();
+    full["checks"].as_array_mut().unwrap().retain(|check| check["number"] == 2);
+    let recorded: Value = serde_json::from_str(&fs::read_to_string(root().join("www/tape.json")).unwrap()).unwrap();
+    assert_eq!(recorded, full, "write www/tape.json again: `mcvl export RUN --to tape --check 2`");
+}
+
+#[test]
+fn controls_do_what_they_say() {
+    let server = Server::start(None);
+    let click = |id: &str| format!("do:document.getElementById('{id}').click()");
+    let choose = |name: &str, value: &str| {
+        format!("eval:document.querySelector('input[name={name}][value=\"{value}\"]').click()")
+    };
+    let visits = [
+        at(&server, &format!("?{LINK}")),
+        "do:document.getElementById('set-forecast').value = 20; document.querySelector('#controls button').click(); \
+         await new Promise((go) => setTimeout(go, 100))"
+            .to_owned(),
+        choose("pace", "16"),
+        choose("speed", "4"),
+        click("another"),
+        "do:await new Promise((go) => setTimeout(go, 100)); const line = document.getElementById('timeline'); \
+         line.value = line.max; line.dispatchEvent(new Event('input')); await new Promise((go) => setTimeout(go, 300))"
+            .to_owned(),
+        click("oldest"),
+        "eval:const play = document.getElementById('play'); const was = play.textContent; play.click(); \
+         return [was, play.textContent]"
+            .to_owned(),
+        click("back"),
+        "eval:document.getElementById('slow').click(); return document.getElementById('stage').textContent".to_owned(),
+        TOLD.to_owned(),
+        click("newest"),
+        click("previous"),
+        click("follow"),
+        "until:return document.getElementById('follow').textContent === 'Keep watching'".to_owned(),
+        "do:".to_owned(),
+    ];
+    let seen = drive(&visits.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(page(&seen[1]).link.contains("forecast=20") && page(&seen[1]).status.starts_with("Done"), "{:?}", seen[1]);
+    let link = page(&seen[4]).link;
+    assert!(["pace=16", "speed=4", "seed=4", "forecast=20"].iter().all(|part| link.contains(part)), "{link}");
+    let last = page(&seen[5]);
+    let newest = last.verdicts.first().unwrap()[0].trim_start_matches('#').to_owned();
+    assert!(last.moment.starts_with(&format!("Check {newest},")), "the timeline's end: {last:?}");
+    assert_eq!(page(&seen[6]).stamp, "REFUSED");
+    assert_eq!(seen[7], serde_json::json!(["Pause", "Play"]));
+    assert!(page(&seen[8]).stage.starts_with("5 of 6"), "{}", page(&seen[8]).stage);
+    assert_eq!(seen[9], "1 of 6: A surprise");
+    assert!(page(&seen[15]).moment.starts_with(&format!("Check {newest},")), "it goes on to the last check");
+}
+
+#[test]
+fn a_token_opens_the_same_moment_here_and_in_the_terminal() {
+    let server = Server::start(None);
+    let link = at(&server, &format!("?{LINK}&check=2"));
+    let shown = page(&drive(&[&link])[0]);
+    assert!(shown.token.starts_with("mcvl1."), "{shown:?}");
+    let again = page(&drive(&[&at(&server, &format!("?token={}", shown.token))])[0]);
+    assert_eq!([&again.moment, &again.stamp, &again.token], [&shown.moment, &shown.stamp, &shown.token]);
+    assert!(again.origin.ends_with("the decision that the token promises, to the last bit."), "{}", again.origin);
+    assert!(again.link.contains("safe_steps=300") && again.link.contains("check=2"), "{}", again.link);
+    let replayed = run(Command::new(mcvl()).args(["replay", &shown.token])).unwrap();
+    assert!(replayed.contains("SAME"), "{replayed}");
+
+    let cut = &shown.token[..shown.token.len() - 3];
+    let answered = page(&drive(&[&at(&server, &format!("?token={cut}"))])[0]);
+    assert!(answered.error.starts_with("the token was cut or altered"), "{}", answered.error);
+}
+
+/// Drops a file with this text on the page.
+fn drop_file(name: &str, text: &str) -> String {
+    format!(
+        "eval:const data = new DataTransfer(); data.items.add(new File([{}], {name:?})); \
+         document.dispatchEvent(new DragEvent('drop', {{ dataTransfer: data, bubbles: true, cancelable: true }}));",
+        serde_json::to_string(text).unwrap()
+    )
+}
+
+#[test]
+fn recorded_runs_are_served_and_dropped() {
+    let folder = scratch();
+    let place = folder.path().join("run");
+    let settings = LINK.split('&').filter(|setting| !setting.starts_with("seed="));
+    let mut train = Command::new(mcvl());
+    train.args(["train", "box-moving", "--seed", "3", "-q", "-o"]).arg(&place);
+    run(train.args(settings.flat_map(|setting| ["--set", setting]))).unwrap();
+    let ledger = fs::read_to_string(place.join("seed-3/ledger.jsonl")).unwrap();
+    let checks = native_checks();
+    let said = |text: &str| format!("until:return document.getElementById('status').textContent.startsWith({text:?})");
+    let complains =
+        |text: &str| format!("until:return document.getElementById('error').textContent.includes({text:?})");
+
+    let server = Server::start(Some(&place));
+    let (_, tape) = server.get("/run/seed-3.json");
+    let commands = [
+        server.link.clone(),
+        "do:document.getElementById('again').click(); await new Promise((go) => setTimeout(go, 100))".to_owned(),
+        drop_file("own.json", &tape),
+        said("own.json"),
+        "do:".to_owned(),
+        drop_file("ledger.jsonl", &ledger),
+        said("ledger.jsonl"),
+        "do:".to_owned(),
+        drop_file("cut.json", &tape[..tape.len() - 100]),
+        complains("cut.json: the file is cut off"),
+        drop_file("cut.jsonl", &ledger[..ledger.len() - 9]),
+        complains("is cut off: it ends in the middle of a value."),
+        drop_file("later.json", &tape.replace("\"version\":1", "\"version\":9")),
+        complains("later.json: the tape has version 9, this page reads version 1."),
+        drop_file("other.json", "{\"a\": 1}"),
+        complains("other.json: this is neither a tape nor a ledger of mcvl."),
+        drop_file("picture.png", "\u{89}PNG\r\n"),
+        complains("picture.png: the file is no JSON."),
+        drop_file("empty.json", ""),
+        complains("empty.json: the file is empty."),
+        drop_file("altered.json", &tape.replace("\"frames\":[", "\"frames\":[3,")),
+        complains("altered.json: "),
+        "eval:return document.querySelectorAll('#verdicts tr').length".to_owned(),
+        drop_file("own.json", &tape),
+        said("own.json"),
+        "eval:return document.getElementById('error').hidden".to_owned(),
+    ];
+    let seen = drive(&commands.iter().map(String::as_str).collect::<Vec<_>>());
+    let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).unwrap();
+    for index in [0, 4] {
+        let page = page(&seen[index]);
+        assert_eq!(page.verdicts.len(), checks.len());
+        assert_eq!((page.moment, page.stamp.as_str()), (name(first), "REFUSED"));
+        assert_eq!((page.scores.len(), page.origin.as_str()), (3, "Recorded by the native program."));
+    }
+    let derived = page(&seen[1]);
+    assert!(derived.status.starts_with("Done in") && derived.origin.starts_with("Decided here"), "{derived:?}");
+    assert_eq!(derived.verdicts, page(&seen[0]).verdicts, "what was recorded is what is derived");
+    let dropped = page(&seen[7]);
+    assert_eq!((dropped.verdicts.len(), dropped.moment), (checks.len(), name(first)));
+    assert_eq!(seen[22], checks.len(), "what was on show before the bad files still is");
+    assert_eq!(seen[25], true, "a good file takes the complaint away");
+}
+
+#[test]
+fn an_embedded_page_shows_what_it_is_asked_for() {
+    let server = Server::start(None);
+    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'explain', 'limits', 'footer'] \
+                   .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)";
+    let embedded = format!("go:{}", at(&server, "?embed=1&hide=run,ledger"));
+    let seen = drive(&[&embedded, TOLD, visible, &at(&server, "?hide=rin")]);
+    assert_eq!(seen[2], serde_json::json!(["decision", "results"]));
+    assert!(page(&seen[3]).error.starts_with("hide: `rin` is not a list of header, run,"), "{:?}", seen[3]["error"]);
+}
+
+#[test]
+fn the_second_visit_needs_no_network() {
+    let server = Server::start(None);
+    let link = at(&server, &format!("?{LINK}"));
+    let kept = "until:return (await navigator.serviceWorker.getRegistration())?.active?.state === 'activated'";
+    let kill = format!("kill:{}", server.id());
+    // The module may be fetched again behind the page's back, so the server goes away between visits.
+    let (log, seen) = drive_and_listen(&[&link, kept, &kill, &link]);
+    let (first, second) = (page(&seen[0]), page(&seen[3]));
+    assert!(second.status.starts_with("Done in"), "{second:?} {log:?}");
+    assert_eq!(first.verdicts, second.verdicts);
+}
+
+#[test]
+fn a_browser_that_cannot_compute_still_tells_the_story() {
+    let server = Server::start(None);
+    for (lack, words) in [("WebAssembly", "no WebAssembly"), ("Worker", "no web workers")] {
+        let without = format!(r#"cdp:Page.addScriptToEvaluateOnNewDocument {{"source": "delete window.{lack}"}}"#);
+        let address = format!("go:{}", at(&server, ""));
+        let seen = drive(&[&without, &address, TOLD, "do:"]);
+        let page = page(&seen[3]);
+        assert!(page.error.contains(words) && page.error.contains("open a tape"), "{}", page.error);
+        assert_eq!((page.stamp.as_str(), page.scores.len()), ("REFUSED", 3), "{page:?}");
+    }
+}
+
+#[test]
+fn with_reduced_motion_nothing_moves_by_itself() {
+    let server = Server::start(None);
+    let reduce =
+        r#"cdp:Emulation.setEmulatedMedia {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}"#;
+    let watch = "eval:window.changes = 0; new MutationObserver((list) => (changes += list.length)).observe(document.body, \
+                 { subtree: true, childList: true, characterData: true, attributes: true })";
+    let later = "until:window.began ??= performance.now(); return performance.now() - began > 2500";
+    let quiet = "eval:return [changes, document.getAnimations().length]";
+    let stage = "eval:return document.getElementById('stage').textContent";
+    let next = "eval:document.getElementById('forward').click()";
+    let framed = "until:return performance.getEntriesByName('first-frame').length === 1 && \
+                  document.getElementById('status').textContent.startsWith('Nothing')";
+    let address = format!("go:{}", at(&server, ""));
+    let seen = drive(&[
+        reduce,
+        &address,
+        framed,
+        watch,
+        later,
+        quiet,
+        stage,
+        next,
+        stage,
+        "do:document.querySelector('#controls button').click()",
+    ]);
+    assert_eq!(seen[5], serde_json::json!([0, 0]), "changes and animations before the visitor acts");
+    assert_eq!((&seen[6], &seen[8]), (&"1 of 6: A surprise".into(), &"2 of 6: Copy the agent twice".into()));
+}
+
+#[test]
+fn axe_finds_nothing_in_any_state() {
+    let server = Server::start(None);
+    let media = |name: &str, value: &str| {
+        format!(r#"cdp:Emulation.setEmulatedMedia {{"features": [{{"name": "{name}", "value": "{value}"}}]}}"#)
+    };
+    let size = |width: u32| {
+        format!(
+            r#"cdp:Emulation.setDeviceMetricsOverride {{"width": {width}, "height": 844, "deviceScaleFactor": 1, "mobile": false}}"#
+        )
+    };
+    let open = "eval:for (const details of document.querySelectorAll('details')) details.open = true";
+    let (plain, link) = (format!("go:{}", at(&server, "")), at(&server, &format!("?{LINK}")));
+    let (wrong, embedded) = (at(&server, "?sed=1"), at(&server, &format!("?{LINK}&embed=1")));
+    let (dark, light, reduced) = (
+        media("prefers-color-scheme", "dark"),
+        media("prefers-color-scheme", "light"),
+        media("prefers-reduced-motion", "reduce"),
+    );
+    let mut commands = vec![&*plain, TOLD, "axe:", &*link, open, "axe:"];
+    let (phone, desktop) = (size(390), size(1440));
+    commands.extend([
+        &*dark, open, "axe:", &*phone, "axe:", &*light, "axe:", &*wrong, "axe:", &*desktop, &*embedded, "axe:",
+    ]);
+    commands.extend([&*reduced, &*plain, "until:return !document.getElementById('moment').hidden", "axe:"]);
+    let seen = drive(&commands);
+    let mut states = 0;
+    for (command, found) in commands.iter().zip(&seen).filter(|(command, _)| **command == "axe:") {
+        states += 1;
+        assert_eq!(*found, Value::Array(Vec::new()), "{command} {states}");
+    }
+    assert_eq!(states, 8);
+}
+
+#[test]
+fn the_keyboard_reaches_and_moves_everything() {
+    let server = Server::start(None);
+    let link = at(&server, &format!("?{LINK}"));
+    let wanted = "eval:const all = 'a[href], button, input, select, summary, [tabindex=\"0\"]'; \
+        const free = [...document.querySelectorAll(all)].filter((part) => !part.disabled && part.checkVisibility() \
+          && part.tabIndex >= 0 && (part.type !== 'radio' || part.checked) && !part.closest('tbody')); \
+        window.reached = new Set(); window.unseen = []; \
+        document.addEventListener('focusin', ({ target }) => { reached.add(target); \
+          const { outlineStyle } = getComputedStyle(target.type === 'file' ? target.previousElementSibling : target); \
+          if (outlineStyle === 'none') unseen.push(target.outerHTML); }); \
+        window.free = free; document.activeElement.blur(); return free.length";
+    let tabs = format!("keys:{}", vec!["Tab"; 140].join(","));
+    let missed = "eval:return [free.filter((part) => !reached.has(part)).map((part) => part.outerHTML), unseen]";
+    let skip = "eval:document.querySelector('.skip').focus()";
+    let at_moment = "eval:return document.activeElement.id";
+    let seen = drive(&[
+        &link,
+        wanted,
+        &tabs,
+        missed,
+        skip,
+        "keys:Enter",
+        at_moment,
+        "keys:Period",
+        "do:",
+        "keys:Comma",
+        "do:",
+    ]);
+    assert!(seen[1].as_u64().unwrap() > 25, "{}", seen[1]);
+    assert_eq!(seen[3], serde_json::json!([[], []]), "controls that Tab does not reach, and focus that cannot be seen");
+    assert_eq!(seen[6], "moment-title");
+    let (next, back) = (page(&seen[8]), page(&seen[10]));
+    assert_eq!(back.moment, page(&seen[0]).moment);
+    assert_ne!(next.moment, back.moment);
+}
+
+#[test]
+fn both_modules_compute_the_committed_digests_in_the_browser() {
+    let server = Server::start(None);
+    let digests = |name: &str| {
+        format!(
+            "eval:const module = await import('/pkg/{name}.js'); await module.default({{ module_or_path: '/pkg/{name}_bg.wasm' }}); \
+             return module.digests()"
+        )
+    };
+    let address = format!("go:{}", at(&server, "?hide=run"));
+    let seen = drive(&[&address, &digests("simd"), &digests("scalar")]);
+    for found in &seen[1..] {
+        let found: std::collections::BTreeMap<String, String> = serde_json::from_str(found.as_str().unwrap()).unwrap();
+        let committed = exact::COMMITTED.iter().map(|(stage, digest)| ((*stage).to_owned(), format!("{digest:016x}")));
+        assert_eq!(found, committed.collect());
+    }
+}
+
+#[test]
+fn the_page_preloads_and_keeps_exactly_its_files() {
+    let read = |name: &str| fs::read_to_string(root().join("www").join(name)).unwrap();
+    let files =
+        fs::read_dir(root().join("www")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut files: Vec<String> = files.filter(|name| name.contains('.') && name != "sw.js").collect();
+    files.sort();
+    let quoted = |text: &str, before: &str| -> Vec<String> {
+        text.lines().filter_map(|line| line.strip_prefix(before)?.split('"').next().map(str::to_owned)).collect()
+    };
+    let mut kept = quoted(&read("sw.js"), "  \"");
+    kept.iter_mut().filter(|name| *name == "./").for_each(|name| *name = "index.html".to_owned());
+    kept.sort();
+    assert_eq!(kept, files, "files that the service worker keeps");
+    let mut preloaded = quoted(&read("index.html"), "<link rel=\"modulepreload\" href=\"");
+    preloaded.sort();
+    // The worker is fetched when there is something to compute.
+    let modules: Vec<String> = files.into_iter().filter(|name| name.ends_with(".js") && name != "worker.js").collect();
+    assert_eq!(preloaded, modules, "modules that the page preloads");
 }

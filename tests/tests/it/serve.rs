@@ -78,13 +78,9 @@ fn a_run_is_served_as_a_tape() {
 
     let server = Server::start(Some(&place));
     assert_eq!(server.link, format!("{}/?tape=run/seed-3.json", server.origin()));
-    let mut stream = ask(&server, "GET", "/run/seed-3.json");
-    let head_text = head(&mut stream);
-    assert!(head_text.starts_with("http/1.1 200 ") && head_text.contains("application/json"), "{head_text}");
-    let length = head_text.split("content-length: ").nth(1).unwrap().split("\r\n").next().unwrap().parse().unwrap();
-    let mut body = vec![0; length];
-    stream.read_exact(&mut body).unwrap();
-    let tape: serde_json::Value = serde_json::from_slice(&body).unwrap();
+    let (head, body) = server.get("/run/seed-3.json");
+    assert!(head.starts_with("http/1.1 200 ") && head.contains("application/json"), "{head}");
+    let tape: serde_json::Value = serde_json::from_str(&body).unwrap();
     assert_eq!((&tape["format"], &tape["version"]), (&"mcvl tape".into(), &1.into()));
     assert!(tape["configuration"].as_str().unwrap().starts_with("env=box-moving "));
     assert_eq!(tape["world"]["actions"]["discrete"][0], "up");
@@ -95,8 +91,8 @@ fn a_run_is_served_as_a_tape() {
     assert_eq!(checks.len(), ledger.lines().count());
     assert!(!checks.is_empty() && checks.iter().all(|check| check["modified"]["films"].is_array()));
 
-    assert!(head(&mut ask(&server, "GET", "/run/seed-4.json")).starts_with("http/1.1 404 "));
-    assert!(head(&mut ask(&server, "GET", "/run/..%2f..%2fmanifest.json")).starts_with("http/1.1 404 "));
+    assert!(server.get("/run/seed-4.json").0.starts_with("http/1.1 404 "));
+    assert!(server.get("/run/..%2f..%2fmanifest.json").0.starts_with("http/1.1 404 "));
 }
 
 #[test]

@@ -3,13 +3,17 @@
 //! `mcvl1.` and the base64url of: decision digest (8 bytes), number of the check (4 bytes,
 //! little-endian), configuration text, and the first 6 bytes of the SHA-256 over all that.
 
-use std::fmt;
-use std::str::FromStr;
+use alloc::borrow::ToOwned as _;
+use alloc::format;
+use alloc::string::{String, ToString as _};
+use core::fmt;
+use core::str::{self, FromStr};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use mcvl_core::config::Config;
 use sha2::{Digest as _, Sha256};
+
+use crate::config::Config;
 
 const PREFIX: &str = "mcvl1.";
 const CHECKSUM: usize = 6;
@@ -21,8 +25,15 @@ pub struct Token {
     pub config: Config,
     /// Number of the check, from 1.
     pub number: u32,
-    /// Digest of the decision: `LedgerLine::digest`.
+    /// Digest of the decision: [`decision_digest`].
     pub digest: u64,
+}
+
+/// What a token promises: the first 64 bits of the SHA-256 of a decision, that is of the JSON of a
+/// [`CheckRecord::without_films`](crate::record::CheckRecord::without_films).
+pub fn decision_digest(decision: &str) -> u64 {
+    let digest = Sha256::digest(decision);
+    u64::from_be_bytes(digest[..8].try_into().expect("a digest has 32 bytes"))
 }
 
 impl fmt::Display for Token {
@@ -42,7 +53,7 @@ impl FromStr for Token {
         let Some(body) = text.strip_prefix(PREFIX) else {
             return Err(format!("`{text}` is no replay token: those begin with {PREFIX}"));
         };
-        let damaged = || "the token was cut or altered; copy it whole from the output of `mcvl explain`".to_owned();
+        let damaged = || "the token was cut or altered; copy it whole from where it was shown".to_owned();
         let bytes = URL_SAFE_NO_PAD.decode(body).map_err(|_| damaged())?;
         let parts = bytes.split_last_chunk::<CHECKSUM>().and_then(|(content, checksum)| {
             let (digest, rest) = content.split_first_chunk::<8>()?;
@@ -60,6 +71,7 @@ impl FromStr for Token {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use alloc::string::String;
 
     #[test]
     fn reads_back_and_notices_every_change() {

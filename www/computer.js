@@ -1,0 +1,59 @@
+// The worker that computes: hired when there is something to compute, so that the page is drawn first.
+
+let worker = null;
+let receive = {};
+/** Runs asked for so far: what the worker says of an older one comes too late. */
+let ticket = 0;
+
+/** What keeps this browser from computing, as a message for people; empty where nothing does. */
+export function lack() {
+  const missing = [
+    ["WebAssembly", typeof WebAssembly],
+    ["web workers", typeof Worker],
+  ].find(([, type]) => type === "undefined");
+  return missing ? `This browser has no ${missing[0]}, so nothing can be computed here. Recorded runs still play: open a tape.` : "";
+}
+
+/** Starts a run; `receive` has a function for every kind of message. */
+export function start(configuration, token, pace, to) {
+  receive = to;
+  ticket += 1;
+  worker ??= hire();
+  tell({ kind: "pace", pace });
+  tell({ kind: "start", ticket, configuration, token });
+}
+
+/** Ends the run; nothing more is heard of it. */
+export function leave() {
+  ticket += 1;
+  tell({ kind: "leave", ticket });
+}
+
+/** Asks for a check with its films. */
+export function ask(number) {
+  tell({ kind: "moment", number });
+}
+
+/** Says something to the worker, if there is one. */
+export function tell(message) {
+  worker?.postMessage(message);
+}
+
+function hire() {
+  const hired = new Worker("worker.js", { type: "module" });
+  hired.onmessage = ({ data }) => {
+    if (data.ticket === ticket) receive[data.kind](data);
+  };
+  hired.onerror = () => {
+    worker = null;
+    const message = "The worker could not be loaded, so nothing can be computed here. Reload the page; recorded runs still play: open a tape.";
+    receive.failed({ message });
+  };
+  return hired;
+}
+
+/** Keeps the page, with the module that this browser takes, for visits without a network. */
+export function keepOffline(module) {
+  // Without permission or a secure context the page needs its host, as any page does.
+  navigator.serviceWorker?.register(`sw.js?module=${module}`).catch(() => {});
+}
