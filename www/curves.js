@@ -1,6 +1,8 @@
 // The curves of a run, drawn by hand: what each learner gets and what we want, over the steps of both phases.
 import { element, LEARNERS, make, narrow, number, svg } from "./dom.js";
 
+/** Least time between two drawings, milliseconds. */
+const PAUSE = 250;
 const HEIGHT = 300;
 const EDGE = { left: 46, right: 12, top: 22, bottom: 54 };
 const ARMS = ["safe", "baseline", "mc"];
@@ -12,6 +14,7 @@ export function curves(open) {
   let steps = { safe: 0, full: 0 };
   let cursor = null;
   let asked = false;
+  let drawn = -PAUSE;
 
   let width = 0;
   const end = () => Math.max(1, steps.safe + steps.full);
@@ -19,6 +22,7 @@ export function curves(open) {
 
   const drawAll = () => {
     asked = false;
+    drawn = performance.now();
     width = narrow.matches ? 380 : 720;
     element("curves").setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
     const values = points.flatMap((point) => [point.return, point.performance]);
@@ -58,10 +62,11 @@ export function curves(open) {
     follow();
   };
   const place = (point) => point.step + (point.arm === "safe" ? 0 : steps.safe);
-  // Several reports may come before the next picture.
+  // Reports come faster than a picture is worth drawing; the first one is drawn at once.
   const later = () => {
-    if (!asked) requestAnimationFrame(drawAll);
+    if (asked) return;
     asked = true;
+    setTimeout(() => requestAnimationFrame(drawAll), Math.max(0, drawn + PAUSE - performance.now()));
   };
   const newest = (arm) => points.findLast((point) => point.arm === arm);
   const describe = () => {

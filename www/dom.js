@@ -38,8 +38,9 @@ export function svg(name, attributes = {}, ...children) {
   return made;
 }
 
-/** Shows one text, or hides the element that has none. */
+/** Shows one text, with what stands in backquotes as code, or hides the element that has none. */
 export function say(id, text) {
-  element(id).textContent = text;
+  const parts = text.split("`").map((part, index) => (index % 2 === 1 ? make("code", part) : part));
+  element(id).replaceChildren(...parts);
   element(id).hidden = text === "";
 }

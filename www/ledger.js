@@ -78,6 +78,8 @@ export function ledger(open) {
 function line(check, scale) {
   const row = make("tr");
   row.dataset.check = check.number;
+  // How long the decision took here; a recorded one says nothing of that.
+  if (check.seconds) row.dataset.seconds = check.seconds;
   const button = make("button", `#${check.number}`);
   button.type = "button";
   button.setAttribute("aria-label", `Show check ${check.number}`);

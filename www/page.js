@@ -23,6 +23,11 @@ const REST = 2500;
 /** Frames of what the agent does today with which the first story opens. */
 const OPENING = 5;
 
+/** The recorded refusal, asked for before anything else. */
+const recorded = fetch("tape.json").then((response) => response.text());
+// Without it the live run shows the first refusal.
+recorded.catch(() => {});
+
 const motion = matchMedia("(prefers-reduced-motion: reduce)");
 /** What the link asks for. */
 let view = {};
@@ -111,10 +116,8 @@ function ended(text) {
 async function introduce() {
   const mine = run;
   try {
-    const response = await fetch("tape.json");
-    run.intro = tapes.read(await response.text(), "tape.json");
+    run.intro = tapes.read(await recorded, "tape.json");
   } catch {
-    // Without it the live run shows the first refusal.
     return;
   }
   if (run !== mine) return;

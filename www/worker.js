@@ -97,7 +97,9 @@ async function follow(runs, end, ticket) {
   let reported = performance.now();
   while (pending.size > 0) {
     let wait = Infinity;
-    for (const run of pending) {
+    // A decision that is under way comes first: somebody may be waiting for it.
+    const deciding = [...pending].filter((run) => states.get(run).began);
+    for (const run of deciding.length > 0 ? deciding : pending) {
       const state = states.get(run);
       const before = performance.now();
       if (before < state.due) {
@@ -111,9 +113,9 @@ async function follow(runs, end, ticket) {
       const now = performance.now();
       if (budget === state.budget) state.budget = adapt(budget, now - before);
       const { step, check } = JSON.parse(run.progress());
-      // A check that is under way began with the slice in which it was first seen.
-      keep(run, now - (state.began || before));
-      state.began = check === null ? 0 : state.began || before;
+      // A check began with the slice in which it was first seen, or with the end of the one before it.
+      const decided = keep(run, now - (state.began || before));
+      state.began = check === null ? 0 : decided ? now : state.began || before;
       if (step > state.step && rate !== Infinity) state.due = now + (1000 * (step - state.step)) / rate;
       state.step = step;
     }
@@ -134,8 +136,9 @@ function adapt(budget, spent) {
   return Math.max(1, Math.min(4096, Math.round(budget * Math.min(2, SLICE / Math.max(spent, 0.1)))));
 }
 
-/** Takes over what a run says; a check that was decided in this slice took so many milliseconds. */
+/** Takes over what a run says, and whether it decided; that took so many milliseconds. */
 function keep(run, spent) {
+  const known = checks.length;
   for (const event of JSON.parse(run.events())) {
     if (event.kind === "evaluation") evaluations.push(event);
     if (event.kind === "check") {
@@ -143,6 +146,7 @@ function keep(run, spent) {
       checks.push({ ...summarise(event), seconds: spent / 1000, token: run.token(event.number) });
     }
   }
+  return checks.length > known;
 }
 
 /** What happened since the last report, without the films of the checks. */

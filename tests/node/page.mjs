@@ -6,7 +6,7 @@
 //   until:SCRIPT            runs it until its value is true, and gives the milliseconds since the last visit
 //   keys:NAME,NAME,...      types keys: Tab, Enter, Space, Comma, or a character
 //   cdp:COMMAND JSON        a command of the DevTools protocol
-//   shot:FILE               writes what is visible as PNG; full:FILE the whole page
+//   shot:FILE               writes what is visible, as its ending says (png, webp); full:FILE the whole page
 //   axe:                    runs axe and gives its violations
 //   kill:PID                ends a process
 //
@@ -14,7 +14,7 @@
 import { spawn, spawnSync } from "node:child_process";
 import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { extname, join } from "node:path";
 import { text } from "node:stream/consumers";
 
 const SWITCHES = [
@@ -126,7 +126,8 @@ async function drive(port, commands) {
     await session("url", { url });
   };
   const shoot = async (file, whole) => {
-    const { data } = await cdp("Page.captureScreenshot", { format: "png", captureBeyondViewport: whole });
+    const format = extname(file).slice(1);
+    const { data } = await cdp("Page.captureScreenshot", { format, captureBeyondViewport: whole });
     await writeFile(file, Buffer.from(data, "base64"));
   };
   const verbs = {

@@ -1,6 +1,7 @@
-//! Automation of the repository: `cargo xtask setup|demo|web|test|bench`.
+//! Automation of the repository: `cargo xtask setup|demo|web|pictures|figures|test|bench`.
 
 mod demo;
+mod page;
 mod process;
 mod setup;
 mod test;
@@ -35,6 +36,10 @@ enum Command {
     },
     /// Build the page's WebAssembly modules into www/pkg and report their sizes
     Web,
+    /// Take the pictures of the page in docs/page anew
+    Pictures,
+    /// Measure the page's figures in a browser: first frame, first refusal, verdicts, long tasks
+    Figures,
     /// Set up, check and test everything: what continuous integration runs
     Test,
     /// Measure core's speed
@@ -46,6 +51,8 @@ fn main() -> ExitCode {
         Command::Setup => setup::everything(),
         Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
         Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
+        Command::Pictures => page::pictures(),
+        Command::Figures => page::figures(),
         Command::Test => test::test(),
         Command::Bench => process::run(process::cargo().args(["bench", "--package", "mcvl-core"])),
     };

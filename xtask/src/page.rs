@@ -1,0 +1,173 @@
+//! Looks at the page as a visitor does: takes its pictures, measures its figures.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::process::{Child, Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use serde_json::{Value, json};
+
+use crate::process::{cargo, command, program, root, run};
+use crate::setup::{self, Purpose};
+use crate::web;
+
+/// Where pictures of the page lie, for the documentation.
+const PICTURES: &str = "docs/page";
+
+/// Waits until a story was told to its verdict.
+const TOLD: &str = "until:return performance.getEntriesByName('verdict').length > 0";
+/// Waits until the live run is over.
+const DONE: &str = "until:return document.getElementById('status').textContent.startsWith('Done')";
+
+/// The page on a server of its own.
+struct Page {
+    server: Child,
+    address: String,
+}
+
+impl Page {
+    /// Builds the page and serves it.
+    fn serve() -> Result<Self> {
+        setup::ensure(Purpose::Test)?;
+        web::build()?;
+        run(cargo().args(["build", "--package", "mcvl-native"]))?;
+        let mut serve = command(program("debug", "mcvl"));
+        let mut server = serve.args(["serve", "--port", "0"]).stdout(Stdio::piped()).spawn()?;
+        let mut line = String::new();
+        BufReader::new(server.stdout.take().context("stdout is a pipe")?).read_line(&mut line)?;
+        let address = line.split_whitespace().next().context("the server does not say its address")?.to_owned();
+        Ok(Self { server, address })
+    }
+
+    /// Drives a browser: what came of every command of `tests/node/page.mjs`.
+    fn drive(&self, commands: &[String]) -> Result<Vec<Value>> {
+        let mut node = Command::new("node");
+        node.arg(root().join("tests/node/page.mjs")).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut node = node.spawn().context("node cannot be started: `cargo xtask setup` installs it")?;
+        node.stdin.take().context("stdin is a pipe")?.write_all(&serde_json::to_vec(commands)?)?;
+        let output = node.wait_with_output()?;
+        if !output.status.success() {
+            bail!("the browser's script ended with {}", output.status);
+        }
+        Ok(serde_json::from_slice(&output.stdout)?)
+    }
+
+    fn go(&self, query: &str) -> String {
+        format!("go:{}{query}", self.address)
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+fn size(width: u32, height: u32) -> String {
+    let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+    format!("cdp:Emulation.setDeviceMetricsOverride {metrics}")
+}
+
+fn media(features: &[(&str, &str)]) -> String {
+    let features: Vec<Value> = features.iter().map(|(name, value)| json!({ "name": name, "value": value })).collect();
+    format!("cdp:Emulation.setEmulatedMedia {}", json!({ "features": features }))
+}
+
+/// Takes the pictures of the documentation anew.
+pub fn pictures() -> Result<()> {
+    let page = Page::serve()?;
+    let folder = root().join(PICTURES);
+    fs::create_dir_all(&folder)?;
+    let file = |name: &str| folder.join(name).with_extension("webp").display().to_string();
+    let shot = |name: &str| format!("shot:{}", file(name));
+    let full = |name: &str| format!("full:{}", file(name));
+    let stage =
+        |number: u32| format!("until:return document.getElementById('stage').textContent.startsWith('{number} of 6')");
+    let settle = "until:window.since ??= performance.now(); return performance.now() - since > 600".to_owned();
+    let forget = "eval:delete window.since".to_owned();
+    let mut commands = vec![size(1440, 900), page.go(""), stage(1), shot("surprise"), stage(4)];
+    commands.extend([settle.clone(), shot("futures"), TOLD.into(), DONE.into(), forget.clone(), settle.clone()]);
+    commands.extend([shot("refused"), full("desktop"), media(&[("prefers-color-scheme", "dark")]), shot("dark")]);
+    let tablet = [media(&[]), size(768, 1024), page.go(""), TOLD.into(), DONE.into(), settle.clone(), shot("tablet")];
+    commands.extend(tablet);
+    let phone = [size(390, 844), page.go(""), TOLD.into(), DONE.into(), settle.clone(), shot("phone")];
+    commands.extend(phone);
+    commands.extend([media(&[("prefers-color-scheme", "dark")]), shot("phone-dark")]);
+    let reduced = media(&[("prefers-reduced-motion", "reduce")]);
+    let still = "until:return !document.getElementById('moment').hidden".to_owned();
+    commands.extend([reduced, size(1440, 900), page.go(""), still, settle.clone(), shot("reduced-motion")]);
+    let error = [media(&[]), page.go("?sed=1"), "until:return !document.getElementById('error').hidden".into()];
+    commands.extend(error);
+    commands.extend([TOLD.replace("'verdict').length > 0", "'none').length === 0"), settle, shot("malformed-link")]);
+    page.drive(&commands)?;
+    println!("pictures: {PICTURES}/*.webp");
+    Ok(())
+}
+
+/// Fast mobile network: 9 Mbit/s and 60 ms, as browsers' own tools slow requests down for it.
+fn mobile_network() -> String {
+    let conditions = json!({
+        "offline": false, "latency": 165, "downloadThroughput": 1_012_500, "uploadThroughput": 168_750,
+    });
+    format!("cdp:Network.emulateNetworkConditions {conditions}")
+}
+
+/// Measures the page's figures and compares them with their goals; fails where one is not met.
+pub fn figures() -> Result<()> {
+    let page = Page::serve()?;
+    let watch = "window.tasks = []; new PerformanceObserver((list) => tasks.push(...list.getEntries()\
+                 .map(({ startTime, duration }) => [startTime, duration]))).observe({ type: 'longtask', buffered: true })";
+    let watch = format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", json!({ "source": watch }));
+    let mark = |name: &str| format!("eval:return performance.getEntriesByName('{name}')[0].startTime");
+    let frame = "until:return performance.getEntriesByName('first-frame').length > 0".to_owned();
+    let empty = "cdp:Network.clearBrowserCache".to_owned();
+    let longest = "eval:const from = performance.getEntriesByName('first-frame')[0].startTime; \
+                   return Math.max(0, ...tasks.filter(([start]) => start > from).map(([, time]) => time))";
+    let seconds =
+        "eval:return [...document.querySelectorAll('#verdicts tr')].map((row) => Number(row.dataset.seconds))";
+    let seen = page.drive(&[
+        "cdp:Network.enable".into(),
+        mobile_network(),
+        page.go(""),
+        frame.clone(),
+        mark("first-frame"),
+        format!(
+            "cdp:Network.emulateNetworkConditions {}",
+            json!({
+                "offline": false, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1,
+            })
+        ),
+        empty,
+        watch,
+        page.go(""),
+        TOLD.into(),
+        mark("verdict"),
+        DONE.into(),
+        longest.into(),
+        seconds.into(),
+    ])?;
+    let number = |value: &Value| value.as_f64().with_context(|| format!("{value} is no number"));
+    let mut times: Vec<f64> = seen[13].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+    times.sort_by(f64::total_cmp);
+    let median = *times.get(times.len() / 2).context("the run has no check")?;
+    let rows = [
+        ("first meaningful frame, slowed to fast 4G", number(&seen[4])? / 1000.0, 1.0, "s"),
+        ("first refusal shown, no click", number(&seen[10])? / 1000.0, 8.0, "s"),
+        ("Box Moving verdict live, median", median, 0.5, "s"),
+        ("Box Moving verdict live, longest", times[times.len() - 1], 0.5, "s"),
+        ("longest main-thread task while training (0: none over 50 ms)", number(&seen[12])?, 50.0, "ms"),
+    ];
+    println!("{:<62} {:>9} {:>9}", "figure", "measured", "goal");
+    for (name, value, goal, unit) in rows {
+        println!(
+            "{name:<62} {value:>6.2} {unit:<2} < {goal:>4} {unit:<2} {}",
+            if value < goal { "met" } else { "NOT MET" }
+        );
+    }
+    if rows.iter().any(|(_, value, goal, _)| value >= goal) {
+        bail!("not every figure is met (other work on this machine counts against them)");
+    }
+    Ok(())
+}
