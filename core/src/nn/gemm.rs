@@ -42,7 +42,7 @@ fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out:
     let k = a.cols;
     let rows: [&[f32]; ROWS] = core::array::from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
     let start: [f32; COLS] = match out.bias {
-        Some(bias) => core::array::from_fn(|l| bias[j + l]),
+        Some(bias) => bias[j..j + COLS].try_into().expect("a full tile"),
         None => [0.0; COLS],
     };
     let mut sums = [start; ROWS];
@@ -57,13 +57,14 @@ fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out:
             }
         }
     }
-    for (r, mut sum) in sums.into_iter().enumerate() {
+    for (r, sum) in sums.iter().enumerate() {
+        let line = &mut out.data[(i + r) * b.cols + j..(i + r) * b.cols + j + COLS];
+        line.copy_from_slice(sum);
         if out.relu {
-            for value in &mut sum {
+            for value in line {
                 *value = if *value < 0.0 { 0.0 } else { *value };
             }
         }
-        out.data[(i + r) * b.cols + j..(i + r) * b.cols + j + COLS].copy_from_slice(&sum);
     }
 }
 

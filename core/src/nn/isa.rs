@@ -115,7 +115,29 @@ impl Lanes for Baseline {
                 core::mem::transmute(parts.map(|part| _mm_sqrt_ps(part)))
             }
         }
-        #[cfg(not(target_arch = "x86_64"))]
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        {
+            use core::arch::wasm32::{f32x4_sqrt, v128};
+            // SAFETY: both types are 64 bytes of plain numbers; the whole module needs SIMD128.
+            unsafe {
+                let parts: [v128; 4] = core::mem::transmute(x);
+                core::mem::transmute(parts.map(|part| f32x4_sqrt(part)))
+            }
+        }
+        #[cfg(target_arch = "aarch64")]
+        {
+            use core::arch::aarch64::{float32x4_t, vsqrtq_f32};
+            // SAFETY: both types are 64 bytes of plain numbers; NEON is part of AArch64.
+            unsafe {
+                let parts: [float32x4_t; 4] = core::mem::transmute(x);
+                core::mem::transmute(parts.map(|part| vsqrtq_f32(part)))
+            }
+        }
+        #[cfg(not(any(
+            target_arch = "x86_64",
+            target_arch = "aarch64",
+            all(target_arch = "wasm32", target_feature = "simd128")
+        )))]
         {
             x.map(libm::sqrtf)
         }
