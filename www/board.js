@@ -48,7 +48,10 @@ export function legend(entries) {
     .map(([character, meaning]) => {
       const [sign, kind] = CELLS[character] ?? [character, ""];
       const entry = make("div");
-      entry.append(make("dt", sign, `cell ${kind}`), make("dd", meaning));
+      const said = make("dd", meaning);
+      // Boards are read out with the world's own characters.
+      if (sign !== character) said.append(make("span", `, ${character}`, "unseen"));
+      entry.append(make("dt", sign, `cell ${kind}`), said);
       return entry;
     });
 }

@@ -1,7 +1,9 @@
 // The worker that computes: hired when there is something to compute, so that the page is drawn first.
+import { MODULE } from "./module.js";
 
 let worker = null;
 let receive = {};
+let judged = () => {};
 /** Runs asked for so far: what the worker says of an older one comes too late. */
 let ticket = 0;
 
@@ -14,13 +16,23 @@ export function lack() {
   return missing ? `This browser has no ${missing[0]}, so nothing can be computed here. Recorded runs still play: open a tape.` : "";
 }
 
-/** Starts a run; `receive` has a function for every kind of message. */
-export function start(configuration, token, pace, to) {
+/** Starts a run; `to` has a function for every kind of message. Held, it waits for `resume` before its first step. */
+export function start(configuration, token, pace, held, to) {
   receive = to;
   ticket += 1;
   worker ??= hire();
   tell({ kind: "pace", pace });
-  tell({ kind: "start", ticket, configuration, token });
+  tell({ kind: "start", ticket, configuration, token, held });
+}
+
+/** What is wrong with a configuration; empty where nothing is, or where nothing can judge it. */
+export async function judge(configuration) {
+  if (lack()) return "";
+  worker ??= hire();
+  return new Promise((resolve) => {
+    judged = resolve;
+    tell({ kind: "judge", configuration });
+  });
 }
 
 /** Ends the run; nothing more is heard of it. */
@@ -42,10 +54,12 @@ export function tell(message) {
 function hire() {
   const hired = new Worker("worker.js", { type: "module" });
   hired.onmessage = ({ data }) => {
-    if (data.ticket === ticket) receive[data.kind](data);
+    if (data.kind === "judged") judged(data.complaint);
+    else if (data.ticket === ticket) receive[data.kind](data);
   };
   hired.onerror = () => {
     worker = null;
+    judged("");
     const message = "The worker could not be loaded, so nothing can be computed here. Reload the page; recorded runs still play: open a tape.";
     receive.failed({ message });
   };
@@ -53,7 +67,7 @@ function hire() {
 }
 
 /** Keeps the page, with the module that this browser takes, for visits without a network. */
-export function keepOffline(module) {
+export function keepOffline() {
   // Without permission or a secure context the page needs its host, as any page does.
-  navigator.serviceWorker?.register(`sw.js?module=${module}`).catch(() => {});
+  navigator.serviceWorker?.register(`sw.js?module=${MODULE}`).catch(() => {});
 }

@@ -1,9 +1,11 @@
 // The curves of a run, drawn by hand: what each learner gets and what we want, over the steps of both phases.
-import { element, LEARNERS, make, narrow, number, svg } from "./dom.js";
+import { element, LEARNERS, make, number, svg } from "./dom.js";
 
 /** Least time between two drawings, milliseconds. */
 const PAUSE = 250;
-const HEIGHT = 300;
+const HEIGHT = 260;
+/** Width of a slider's thumb. */
+const THUMB = 16;
 const EDGE = { left: 46, right: 12, top: 22, bottom: 54 };
 const ARMS = ["safe", "baseline", "mc"];
 
@@ -22,9 +24,11 @@ export function curves(open) {
 
   const drawAll = () => {
     asked = false;
-    drawn = performance.now();
-    width = narrow.matches ? 380 : 720;
+    if (points.length > 0) drawn = performance.now();
+    // One unit is one pixel, so that the timeline below stands under its steps.
+    width = Math.max(300, Math.min(760, element("curves").parentElement.clientWidth));
     element("curves").setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
+    element("curves").style.width = `${width}px`;
     const values = points.flatMap((point) => [point.return, point.performance]);
     const [low, high] = scale(Math.min(0, ...values), Math.max(10, ...values));
     const y = (value) => EDGE.top + ((high - value) / (high - low)) * (HEIGHT - EDGE.top - EDGE.bottom);
@@ -75,15 +79,14 @@ export function curves(open) {
     return `Reward and performance over the steps. Newest: ${words.join("; ")}`;
   };
   const key = () => {
-    const made = ARMS.filter(newest).flatMap((arm) =>
-      ["return", "performance"].map((kind) => {
-        const entry = make("span", "", "key");
-        const sample = svg("svg", { viewBox: "0 0 34 10", "aria-hidden": "true" });
-        sample.append(svg("line", { class: `${kind} ${arm}`, x1: 1, x2: 33, y1: 5, y2: 5 }));
-        entry.append(sample, `${LEARNERS[arm]}, ${kind === "return" ? "reward" : "performance"} ${number(newest(arm)[kind], 0)}`);
-        return entry;
-      }),
-    );
+    const made = ARMS.filter(newest).map((arm) => {
+      const entry = make("span", "", "key");
+      const sample = svg("svg", { viewBox: "0 0 34 20", "aria-hidden": "true" });
+      sample.append(svg("line", { class: `return ${arm}`, x1: 1, x2: 33, y1: 5, y2: 5 }));
+      sample.append(svg("line", { class: `performance ${arm}`, x1: 1, x2: 33, y1: 15, y2: 15 }));
+      entry.append(sample, LEARNERS[arm]);
+      return entry;
+    });
     element("curves-key").replaceChildren(...made);
   };
 
@@ -98,7 +101,7 @@ export function curves(open) {
   // The timeline stands on a check; dragging it opens the nearest one.
   const timeline = element("timeline");
   timeline.addEventListener("input", () => {
-    const far = (check) => Math.abs(check.step - timeline.value);
+    const far = (check) => Math.abs(steps.safe + check.step - timeline.value);
     const nearest = checks.toSorted((one, other) => far(one) - far(other))[0];
     if (nearest && nearest.number !== cursor) open(nearest.number);
     follow();
@@ -106,16 +109,19 @@ export function curves(open) {
   const follow = () => {
     const chosen = checks.find((check) => check.number === cursor);
     timeline.disabled = checks.length === 0;
-    timeline.max = steps.full;
-    if (chosen && document.activeElement !== timeline) timeline.value = chosen.step;
+    timeline.max = end();
+    // The thumb reaches half its width less far than the rail.
+    timeline.style.width = `${width - EDGE.left - EDGE.right + THUMB}px`;
+    timeline.style.marginLeft = `${EDGE.left - THUMB / 2}px`;
+    if (chosen && document.activeElement !== timeline) timeline.value = steps.safe + chosen.step;
     const said = chosen
-      ? `step ${chosen.step}: check ${chosen.number}, ${chosen.refused ? "refused" : "accepted"}`
-      : "no check yet";
+      ? `Step ${chosen.step} of the new world: check ${chosen.number}, ${chosen.refused ? "refused" : "accepted"}`
+      : "No check yet";
     timeline.setAttribute("aria-valuetext", said);
     element("timeline-at").textContent = said;
   };
 
-  narrow.addEventListener("change", later);
+  addEventListener("resize", later);
 
   return {
     clear() {

@@ -1,13 +1,13 @@
 // Plays the films of two futures synchronously: same start, same length, one scrubber.
 import { board, draw } from "./board.js";
-import { element, number, signed } from "./dom.js";
+import { element, signed } from "./dom.js";
 
 /** Time of a step at speed 1, milliseconds. */
 const BEAT = 420;
 const SIDES = ["modified", "unmodified"];
 
-/** A player; `stopped(frame)` hears where a person halted it. */
-export function player(stopped) {
+/** A player; `touched()` hears that a person took it, and `stopped(frame)` where it stands then, null where it plays. */
+export function player(touched, stopped) {
   const boards = SIDES.map((side) => {
     const made = board();
     element(`${side}-board`).append(made);
@@ -95,12 +95,18 @@ export function player(stopped) {
       show();
     },
     toggle() {
-      if (!timer) return control.play();
-      go(frame);
+      const playing = timer !== 0;
+      touched();
+      if (playing) return go(frame);
+      stopped(null);
+      control.play();
     },
     halt() {
       halt();
       show();
+    },
+    get last() {
+      return films ? last : 0;
     },
     set speed(value) {
       speed = value;
@@ -113,6 +119,7 @@ export function player(stopped) {
   };
   element("play").addEventListener("click", control.toggle);
   scrubber.addEventListener("input", () => {
+    touched();
     halt();
     frame = Number(scrubber.value);
     show();
@@ -127,5 +134,5 @@ function caption(film, frame, world) {
   if (frame > film.actions.length) return "the episode is over";
   const action = world.actions.discrete[film.actions[frame - 1]] ?? `action ${film.actions[frame - 1]}`;
   const predicted = film.predicted[frame - 1] / world.reward_scale;
-  return `goes ${action}, today’s model expects ${signed(Number(number(predicted, 1).replace("−", "-")), 1)}`;
+  return `goes ${action}, today’s model expects ${signed(predicted, 1)}`;
 }

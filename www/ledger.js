@@ -69,9 +69,6 @@ export function ledger(open) {
     newest() {
       return [...rows.values()].filter(({ row }) => !row.hidden).at(-1)?.check.number ?? null;
     },
-    get size() {
-      return rows.size;
-    },
   };
 }
 

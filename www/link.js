@@ -6,6 +6,7 @@ export const PANELS = ["header", "run", "decision", "results", "ledger", "explai
 const VIEW = {
   check: [null, "a whole number from 1", (text) => /^[1-9]\d{0,8}$/.test(text)],
   frame: [null, "a whole number from 0", (text) => /^\d{1,6}$/.test(text)],
+  stage: [null, "a whole number from 1 to 6", (text) => /^[1-6]$/.test(text)],
   film: ["reset", "`reset` or `current`", (text) => ["reset", "current"].includes(text)],
   speed: ["1", "`1`, `4` or `16`", (text) => ["1", "4", "16"].includes(text)],
   pace: ["max", "`1`, `4`, `16` or `max`", (text) => ["1", "4", "16", "max"].includes(text)],
@@ -31,8 +32,23 @@ export function read() {
   const view = {};
   for (const [key, [standard]] of Object.entries(VIEW)) view[key] = query.get(key) ?? standard;
   const [text, seed] = [configuration(), query.get("seed") ?? "0"];
-  const plain = text.replace(/ seed=0$/, "") === `env=${FIRST}` && ["check", "tape", "token"].every((key) => !view[key]);
+  const plain = text.replace(/ seed=0$/, "") === `env=${FIRST}` && ["check", "tape", "token", "stage"].every((key) => !view[key]);
   return { view, configuration: text, seed, complaint, plain };
+}
+
+/** The address of this view; what was malformed is not in it. */
+export function address() {
+  return new URL(`?${query}`, location.href);
+}
+
+/** The configuration text that the link would have with these changes. */
+export function preview(changes) {
+  const before = query;
+  query = new URLSearchParams(query);
+  change(changes);
+  const text = configuration();
+  query = before;
+  return text;
 }
 
 /** Starts from the default page: what the link said is of no use. The address keeps it, to be corrected. */
@@ -42,17 +58,21 @@ export function forget() {
 
 /** Changes keys of the link; a default or a null takes the key away. */
 export function write(changes) {
+  change(changes);
+  history.replaceState(null, "", `?${query}`);
+}
+
+function change(changes) {
   for (const [key, value] of Object.entries(changes)) {
     if (value === null || String(value) === VIEW[key]?.[0]) query.delete(key);
     else query.set(key, value);
   }
   if (!query.has("env")) query = new URLSearchParams([["env", FIRST], ...query]);
-  history.replaceState(null, "", `?${query}`);
 }
 
 /** Makes the link one to a run: its configuration text takes the place of what was asked for before. */
 export function turnTo(configuration, view = {}) {
-  const kept = [...query].filter(([key]) => Object.hasOwn(VIEW, key) && !["check", "frame", "tape", "token"].includes(key));
+  const kept = [...query].filter(([key]) => Object.hasOwn(VIEW, key) && !["check", "frame", "stage", "tape", "token"].includes(key));
   const pairs = configuration.split(" ").map((pair) => pair.split("="));
   query = new URLSearchParams([...pairs, ...kept]);
   write(view);

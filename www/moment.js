@@ -4,7 +4,7 @@ import { board, draw } from "./board.js";
 import { decimals, element, make, narrow, number, say, signed, svg } from "./dom.js";
 
 const STAGES = [
-  "What it does today",
+  "How it goes on if nothing happens",
   "A surprise",
   "Copy the agent twice",
   "Train both copies, one with the step",
@@ -16,7 +16,7 @@ const LAST = STAGES.length - 1;
 /** Margins of a rating's scale, in the unit of its drawing. */
 const MARGIN = 18;
 
-/** The panel; `turned()` hears that a person asked for another stage. */
+/** The panel; `turned(stage)` hears which stage a person asked for. */
 export function momentPanel(turned) {
   const before = board();
   const after = board();
@@ -31,12 +31,13 @@ export function momentPanel(turned) {
       part.classList.toggle("later", !shown || Number(part.dataset.stage) > stage);
     }
     element("decision").dataset.at = stage;
-    element("before-caption").textContent = stage === 0 ? "what it does today" : "before";
+    element("before-caption").textContent = stage === 0 ? "if nothing happens" : "before";
     element("storyboard").hidden = !shown;
     element("stage").textContent = stage === 0 ? STAGES[0] : `${stage} of ${LAST}: ${STAGES[stage]}`;
     element("stage-dots").replaceChildren(...STAGES.slice(1).map((_, index) => make("i", "", index < stage ? "told" : "")));
-    element("back").disabled = stage <= 1;
-    element("forward").disabled = stage === LAST;
+    // Not `disabled`: the focus would be lost.
+    element("back").ariaDisabled = stage <= 1;
+    element("forward").ariaDisabled = stage === LAST;
   };
   const turn = (to) => {
     timers.forEach(clearTimeout);
@@ -51,8 +52,9 @@ export function momentPanel(turned) {
   };
   for (const [id, by] of [["back", -1], ["forward", 1]]) {
     element(id).addEventListener("click", () => {
-      turned();
-      turn(Math.max(1, stage + by));
+      const to = Math.max(1, Math.min(LAST, stage + by));
+      turned(to);
+      turn(to);
     });
   }
 
@@ -63,6 +65,10 @@ export function momentPanel(turned) {
     get stage() {
       return stage;
     },
+    /** The stage in words. */
+    get words() {
+      return element("stage").textContent;
+    },
     /** Nothing to show yet, and why. */
     wait(text) {
       shown = null;
@@ -71,12 +77,12 @@ export function momentPanel(turned) {
       turn(LAST);
     },
     /** Shows a check, whole or from a stage on. */
-    open(check, world, configuration, picture, from = LAST) {
+    open(check, world, picture, from = LAST) {
       shown = { check, picture };
       say("waiting", "");
       element("moment").hidden = false;
       drawStep();
-      transition(check, world, configuration);
+      transition(check, world);
       training(check);
       ratings(check);
       verdict(check);
@@ -109,7 +115,7 @@ function training(check) {
 }
 
 /** What happened, and why it was checked. */
-function transition(check, world, configuration) {
+function transition(check, world) {
   const action = world.actions.discrete[check.action] ?? `action ${check.action}`;
   const raw = (scaled) => number(scaled / world.reward_scale, 2);
   const digits = decimals(world.reward_scale);
@@ -119,7 +125,8 @@ function transition(check, world, configuration) {
   element("expected").textContent = signed(predicted, digits);
   element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
-  element("why").textContent = configuration.includes("scheme=all")
+  const small = Math.abs(check.reward - check.predicted) < check.threshold;
+  element("why").textContent = small
     ? `${surprise}. This run checks every step.`
     : `${surprise}; from ${raw(check.threshold)} on the agent checks before it learns.`;
   element("truth").textContent = check.hack

@@ -7,6 +7,7 @@ import { element, LEARNERS, make, number, say } from "./dom.js";
 import { player } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
+import { MODULE } from "./module.js";
 import { momentPanel } from "./moment.js";
 import { summarise } from "./record.js";
 import { story } from "./story.js";
@@ -39,8 +40,12 @@ let begun = false;
 let watching = false;
 let rest = 0;
 
-const moment = momentPanel(stopStory);
-const film = player((frame) => put({ frame }));
+const moment = momentPanel((stage) => {
+  stopStory();
+  put({ stage: stage === moment.last ? null : stage });
+  announce(`Stage ${stage} of ${moment.last}.`);
+});
+const film = player(stopStory, (frame) => put({ frame }));
 const table = ledger(choose);
 const chart = curves(choose);
 const tale = story(moment, film, told);
@@ -48,7 +53,8 @@ const tale = story(moment, film, told);
 /** Changes the view and the link. */
 function put(changes) {
   for (const [key, value] of Object.entries(changes)) view[key] = value === null ? null : String(value);
-  if (changes.frame !== undefined && view.check === null && run.shown) view.check = String(run.shown.number);
+  const standing = (changes.frame ?? changes.stage ?? null) !== null;
+  if (standing && view.check === null && run.shown) view.check = String(run.shown.number);
   link.write({ ...changes, check: view.check });
   share();
 }
@@ -74,25 +80,30 @@ async function begin(complaint = "", first = false) {
   element("header").classList.toggle("unseen", view.embed === "1");
   clear();
   const mine = run;
+  if (first) computer.keepOffline();
   if (view.tape) return fetchTape(view.tape);
   if (first && found.plain && !text) await introduce();
   // Something else may have been opened meanwhile.
-  if (run !== mine) return;
-  if (motion.matches && !begun) ended("Nothing starts by itself: press Run.");
-  else compute(found.configuration, view.token);
+  if (run === mine) compute(found.configuration, view.token);
 }
 
 /** Forgets the last run. */
 function clear() {
   stopStory();
-  run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: 0 };
+  run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
   for (const id of ["pictures", "again"]) element(id).hidden = true;
   table.clear();
   chart.clear();
   film.halt();
+  waiting("");
+}
+
+/** Says what will stand in the panel; the price is that of the world. */
+function waiting(cost) {
   const what = view.check === null ? "The first refusal" : `Check ${view.check}`;
-  moment.wait(`${what} appears here. The agent trains in the safe world first, which takes a few seconds.`);
+  const price = cost ? ` A whole run of this world takes ${cost} natively, and longer here.` : "";
+  moment.wait(`${what} appears here. The agent trains in the safe world first.${price}`);
 }
 
 function compute(configuration, token = null) {
@@ -100,11 +111,28 @@ function compute(configuration, token = null) {
   element("run-title").textContent = "The run, live";
   const lack = computer.lack();
   if (lack) return receive.failed({ message: lack });
+  run.held = motion.matches && !begun;
+  element("start").hidden = !run.held;
+  if (run.held) ended("Nothing starts by itself: press Run.");
+  else going();
+  computer.start(configuration, token, view.pace, run.held, receive);
+}
+
+/** The run is computed. */
+function going() {
   begun = true;
+  run.held = false;
+  run.paused = false;
+  element("start").hidden = true;
   element("status").textContent = "Computing.";
   element("stop").disabled = false;
   element("stop").textContent = "Pause run";
-  computer.start(configuration, token, view.pace, receive);
+}
+
+/** Lets a run that was held go. */
+function release() {
+  going();
+  computer.tell({ kind: "resume" });
 }
 
 function ended(text) {
@@ -128,7 +156,7 @@ async function introduce() {
   element("legend").replaceChildren(...legend(run.world.legend));
   show(check);
   if (motion.matches) playTape(run.intro);
-  else tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
+  else if (!document.hidden) tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
   await painted();
   performance.mark("first-frame");
 }
@@ -146,6 +174,7 @@ function playTape({ legs, evaluations, checks }) {
 /** Ends the story on show, because a person does something else. */
 function stopStory() {
   clearTimeout(rest);
+  rest = 0;
   watching = false;
   element("follow").textContent = "Keep watching";
   if (tale.stop()) moment.turn(moment.last);
@@ -155,14 +184,21 @@ function stopStory() {
 function told() {
   performance.mark("verdict");
   speak(summarise(run.shown));
-  if (watching) rest = setTimeout(goOn, REST);
+  if (!watching) return;
+  rest = setTimeout(() => {
+    rest = 0;
+    goOn();
+  }, REST);
 }
 
-/** Tells the check after this one, or ends the watching where there is none. */
+/** Tells the check after this one; where there is none yet, the run's next report calls again. */
 function goOn() {
   const next = table.beside(run.shown.number, 1);
-  if (next === null) return stopStory();
-  put({ check: next, frame: null });
+  if (next === null) {
+    if (run.over) stopStory();
+    return;
+  }
+  put({ check: next, frame: null, stage: null });
   ask(next);
 }
 
@@ -170,7 +206,8 @@ function goOn() {
 function choose(number) {
   if (number === null) return;
   stopStory();
-  put({ check: number, frame: null });
+  put({ check: number, frame: null, stage: null });
+  run.spoken = -SPEAK;
   ask(number);
 }
 
@@ -184,10 +221,15 @@ function ask(number) {
 function show(check) {
   const another = run.shown?.number !== check.number;
   run.shown = check;
-  const stage = !another ? moment.stage : motion.matches ? 1 : moment.last;
-  moment.open(check, run.world, run.configuration, view.picture, stage);
+  const stage = view.stage ? Number(view.stage) : !another ? moment.stage : motion.matches ? 1 : moment.last;
+  moment.open(check, run.world, view.picture, stage);
+  if (check.before.truth || check.after.truth) element("pictures").hidden = false;
   element("starts").hidden = (check.modified.films?.length ?? 0) < 2;
   film.open(check, view.film, Number(view.frame ?? 0), run.world);
+  if (Number(view.frame ?? 0) > film.last) {
+    say("error", `frame: these films have ${film.last} steps; the last one is shown instead of ${view.frame}.`);
+    put({ frame: film.last });
+  }
   table.choose(check.number);
   chart.choose(check.number);
   element("origin").textContent = origin(check);
@@ -206,7 +248,7 @@ function origin(check) {
   const row = run.rows.get(check.number);
   if (run.recorded || !row?.token) return "Recorded by the native program.";
   const took = `Decided here in ${number(Math.max(0.01, row.seconds), 2)} seconds.`;
-  if (run.token && String(check.number) === view.check) {
+  if (run.token && check.number === run.promised) {
     return row.token === run.token
       ? `${took} It is the decision that the token promises, to the last bit.`
       : `${took} It is not the decision that the token promises.`;
@@ -220,8 +262,10 @@ function origin(check) {
 
 /** The link and the token of the moment on show. */
 function share() {
-  const address = new URL(location.href);
+  const address = link.address();
   if (run.shown) address.searchParams.set("check", run.shown.number);
+  // A ledger does not name its run, so no link leads back to it.
+  element("links").hidden = Boolean(run.recorded) && !run.configuration;
   element("share-link").value = address.href;
   const token = run.rows.get(run.shown?.number)?.token;
   element("tokens").hidden = !token;
@@ -244,13 +288,13 @@ function leg(arm) {
 
 function showScore(point) {
   run.scores.set(point.arm, point);
-  const rows = [...run.scores.values()].map(({ arm, step, return: observed, performance }) => {
+  const rows = [...run.scores.values()].map(({ arm, return: observed, performance }) => {
     const parted = observed > performance + 1;
     const row = make("tr");
     const name = make("th", LEARNERS[arm]);
     name.scope = "row";
-    row.append(name, make("td", step), make("td", number(observed, 1)), make("td", number(performance, 1)));
-    row.append(make("td", parted ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", parted ? "word refuse" : "word accept"));
+    name.append(make("small", parted ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", parted ? "refuse" : "accept"));
+    row.append(name, make("td", number(observed, 1)), make("td", number(performance, 1)));
     return row;
   });
   element("scores").replaceChildren(...rows);
@@ -258,11 +302,20 @@ function showScore(point) {
 
 /** Says the newest verdict, not every one. */
 function speak(check) {
-  const now = performance.now();
-  if (now - run.spoken < SPEAK) return;
-  run.spoken = now;
+  clearTimeout(run.speaking);
+  const wait = run.spoken + SPEAK - performance.now();
+  if (wait > 0) {
+    run.speaking = setTimeout(speak, wait, check);
+    return;
+  }
+  run.spoken = performance.now();
   const got = `expected ${number(check.predicted / run.world.reward_scale, 1)}, got ${number(check.reward_raw, 1)}`;
-  element("latest").textContent = `Step ${check.step}: ${got}: ${check.refused ? "refused" : "accepted"}.`;
+  announce(`Step ${check.step}: ${got}: ${check.refused ? "refused" : "accepted"}.`);
+}
+
+/** Says something to those who do not see it. */
+function announce(text) {
+  element("latest").textContent = text;
 }
 
 /** Asks for the moment that the link names, else for the first refusal. */
@@ -297,21 +350,22 @@ function command(configuration) {
 
 /** What the worker says; a tape says the same. */
 const receive = {
-  ready({ module, experiments, world, configuration, settings, wanted }) {
+  ready({ experiments, world, cost, configuration, settings, wanted }) {
     run.world = world;
     run.configuration = configuration;
     if (run.token) {
-      link.turnTo(configuration, { check: wanted });
+      run.promised = wanted;
+      link.turnTo(configuration, { check: wanted, frame: view.frame, stage: view.stage });
       view.check = String(wanted);
-      element("seed").value = link.read().seed;
+      element("seed").value = settings.find(({ name }) => name === "seed").value;
     }
+    if (!run.shown) waiting(cost);
     element("env").replaceChildren(...experiments.map((name) => make("option", name)));
     element("env").value = configuration.split(" ")[0].split("=")[1];
     controls.fill(settings);
     element("legend").replaceChildren(...legend(world.legend));
-    element("module").textContent = module === "simd" ? "module with SIMD" : "module without SIMD";
+    element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
     element("command").textContent = command(configuration);
-    computer.keepOffline(module);
   },
 
   report(report) {
@@ -338,6 +392,8 @@ const receive = {
     // A story says its own verdict.
     if (!tale.going) speak(report.checks.at(-1));
     find(report.checks);
+    const shows = run.asked === run.shown?.number;
+    if (watching && shows && !tale.going && !rest) goOn();
   },
 
   moment({ check }) {
@@ -345,6 +401,7 @@ const receive = {
   },
 
   done({ seconds }) {
+    run.over = true;
     ended(`Done in ${number(seconds, 1)} seconds.`);
     settle();
   },
@@ -373,6 +430,8 @@ function openTape(text, name) {
   computer.leave();
   say("error", "");
   clear();
+  run.over = true;
+  element("start").hidden = true;
   run.world = tape.world;
   run.configuration = tape.configuration ?? "";
   run.recorded = new Map(tape.checks.map((check) => [check.number, check]));
@@ -390,37 +449,57 @@ function openTape(text, name) {
 async function fetchTape(address) {
   const mine = run;
   element("status").textContent = "Loading the tape.";
-  let complaint = "";
-  try {
-    const response = await fetch(address);
-    if (!response.ok) throw new Error(`this site answers ${response.status}`);
-    const text = await response.text();
-    if (run !== mine || openTape(text, address)) return;
-    complaint = element("error").textContent;
-  } catch (error) {
-    complaint = `tape: ${address} cannot be loaded, ${error.message}.`;
-  }
+  const got = await fetch(address)
+    .then(async (response) => (response.ok ? { text: await response.text() } : { why: `this site answers ${response.status}` }))
+    .catch((error) => ({ why: error.message }));
+  // Something else may have been opened meanwhile.
+  if (run !== mine) return;
+  if (got.text !== undefined && openTape(got.text, address)) return;
   link.forget();
-  begin(complaint);
+  begin(got.why ? `tape: ${address} cannot be loaded, ${got.why}.` : element("error").textContent);
 }
 
+/** Shows a file that a person chose or dropped; the link then leads to its run, if the file names it. */
 async function openFile(file) {
-  if (file && openTape(await file.text(), file.name)) link.write({ check: null, frame: null, tape: null, token: null });
+  if (!file) return;
+  const text = await file.text().catch((error) => say("error", `${file.name}: it cannot be read: ${error.message}`));
+  if (text === undefined) return;
+  const before = { ...view };
+  Object.assign(view, { check: null, frame: null, stage: null, tape: null, token: null });
+  if (!openTape(text, file.name)) {
+    view = before;
+    return;
+  }
+  begun = true;
+  if (run.configuration) link.turnTo(run.configuration);
+  else link.write({ check: null, frame: null, stage: null, tape: null, token: null });
+  share();
+}
+
+/** Begins the run that the form describes; where it describes none, that is said and everything stays. */
+async function submit() {
+  if (run.held && !run.edited) return release();
+  const none = { check: null, frame: null, stage: null, tape: null, token: null };
+  const changes = { env: element("env").value, seed: element("seed").value || "0", ...none, ...controls.changed() };
+  const complaint = await computer.judge(link.preview(changes));
+  if (complaint) return say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
+  link.write(changes);
+  begun = true;
+  begin();
 }
 
 element("controls").addEventListener("submit", (event) => {
   event.preventDefault();
-  const none = { check: null, frame: null, tape: null, token: null };
-  link.write({ env: element("env").value, seed: element("seed").value || "0", ...none, ...controls.changed() });
-  begun = true;
-  begin();
+  submit();
 });
+element("controls").addEventListener("input", () => (run.edited = true));
+element("start").addEventListener("click", release);
 
 element("stop").addEventListener("click", () => {
-  const going = element("stop").textContent.startsWith("Pause");
-  computer.tell({ kind: going ? "pause" : "resume" });
-  element("stop").textContent = going ? "Resume run" : "Pause run";
-  element("status").textContent = going ? "Paused." : "Computing.";
+  run.paused = !run.paused;
+  computer.tell({ kind: run.paused ? "pause" : "resume" });
+  element("stop").textContent = run.paused ? "Resume run" : "Pause run";
+  element("status").textContent = run.paused ? "Paused." : "Computing.";
 });
 
 element("again").addEventListener("click", () => {
@@ -430,12 +509,15 @@ element("again").addEventListener("click", () => {
 });
 
 element("another").addEventListener("click", () => {
+  if (!element("seed").reportValidity()) return;
+  run.edited = true;
   element("seed").value = String(BigInt.asUintN(64, BigInt(element("seed").value || "0") + 1n));
   element("controls").requestSubmit();
 });
 
 element("slow").addEventListener("click", () => {
   stopStory();
+  put({ stage: null });
   if (run.shown) tale.play();
 });
 
@@ -477,8 +559,8 @@ document.addEventListener("change", ({ target }) => {
     table.filter = view.filter;
   }
   if (target.name === "film") {
-    put({ film: target.value, frame: null });
     stopStory();
+    put({ film: target.value, frame: null });
     if (run.shown) open(run.shown);
   }
   if (target.id === "picture") {
@@ -505,7 +587,8 @@ document.addEventListener("drop", (event) => {
 });
 
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input:not([type=radio]), textarea")) return;
+  if (!element("shortcuts").checked || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.closest("input:not([type=radio]), select, textarea")) return;
   if (event.key === ".") element("next").click();
   if (event.key === ",") element("previous").click();
   if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex]")) {

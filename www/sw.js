@@ -13,6 +13,7 @@ const FILES = [
   "film.js",
   "ledger.js",
   "link.js",
+  "module.js",
   "moment.js",
   "page.js",
   "panels.css",
@@ -41,7 +42,9 @@ addEventListener("fetch", (event) => {
 async function answer(request) {
   const kept = await caches.open(KEPT);
   // A link is the same page with another query.
-  const page = request.mode === "navigate" ? "./" : request;
+  const { pathname } = new URL(request.url);
+  const home = new URL("./", location.href).pathname;
+  const page = [home, `${home}index.html`].includes(pathname) ? "./" : request;
   try {
     const response = await fetch(request);
     // Tapes of a run change and may be large: only the page's own files are kept.

@@ -1,6 +1,5 @@
 // Reads what the native program writes: the tape of a run, the ledger of a seed, or the tape of one check.
 // Whatever else is dropped on the page gets a message that says what, where and what to do.
-import { summarise } from "./record.js";
 
 const FORMAT = "mcvl tape";
 const VERSION = 1;
@@ -12,8 +11,20 @@ const WAY_OUT = "Write it again with `mcvl export RUN --to tape`, or take the `l
  */
 export function read(text, name) {
   const fail = (why) => {
-    throw new Error(`${name}: ${why} ${WAY_OUT}`);
+    throw new Unreadable(`${name}: ${why} ${WAY_OUT}`);
   };
+  try {
+    return content(text, fail);
+  } catch (error) {
+    if (error instanceof Unreadable) throw error;
+    // Something is of another kind than every tape has it.
+    return fail("the file is damaged.");
+  }
+}
+
+class Unreadable extends Error {}
+
+function content(text, fail) {
   const lines = text.split("\n").filter((line) => line.trim() !== "");
   if (lines.length === 0) fail("the file is empty.");
   let values;
@@ -43,9 +54,9 @@ function tape(value, fail) {
   }
   const { configuration, world, legs, evaluations, checks } = value;
   const whole =
-    typeof configuration === "string" &&
+    /^env=\S+( \S+=\S+)*$/.test(configuration) &&
     Array.isArray(world?.actions?.discrete) &&
-    Array.isArray(world?.legend) &&
+    world.legend.every((entry) => entry.length === 2 && entry.every((part) => typeof part === "string")) &&
     world.reward_scale > 0 &&
     [legs, evaluations, checks].every(Array.isArray) &&
     legs.every(({ arm, steps }) => typeof arm === "string" && Number.isInteger(steps)) &&
@@ -56,7 +67,7 @@ function tape(value, fail) {
 }
 
 const numbers = (value, keys) => keys.every((key) => Number.isFinite(value[key]));
-const isFrame = (frame) => typeof frame?.seen === "string" && ["string", "object", "undefined"].includes(typeof frame.truth);
+const isFrame = ({ seen, truth }) => typeof seen === "string" && (typeof truth === "string" || truth == null);
 
 /** Fails where a check has not what the panels show. */
 function sound(check, place, fail) {
@@ -64,13 +75,15 @@ function sound(check, place, fail) {
     numbers(check ?? {}, ["number", "step", "predicted", "reward", "reward_raw", "threshold", "margin", "cost", "performance"]) &&
     ["refuse", "accept"].includes(check.verdict) &&
     [check.before, check.after].every(isFrame) &&
-    [check.modified, check.unmodified].every(isFuture);
+    [check.modified, check.unmodified].every(isFuture) &&
+    !check.modified.films === !check.unmodified.films;
   if (!whole) fail(`${place} is no check.`);
 }
 
 function isFuture(future) {
   if (!future || !Number.isFinite(future.utility) || !Array.isArray(future.rollouts)) return false;
-  return future.rollouts.every(Number.isFinite) && (future.films === undefined || future.films.every(isFilm));
+  const films = future.films === undefined || (future.films.length > 0 && future.films.every(isFilm));
+  return films && future.rollouts.every(Number.isFinite);
 }
 
 function isFilm(film) {
@@ -91,9 +104,4 @@ function legs(checks) {
     { arm: "safe", steps: 0 },
     { arm: "mc", steps: Math.max(...checks.map((check) => check.step)) },
   ];
-}
-
-/** Rows of the ledger for all checks of a file. */
-export function rows({ checks }) {
-  return checks.map(summarise);
 }

@@ -1,12 +1,9 @@
 // Computes a run in slices, away from the page: polls, collects what the run says, and reports a few times
 // per second. Checks are kept whole, with their films, for the page to ask for one. Everything that is
 // decided is decided in the module.
+import { MODULE } from "./module.js";
 import { summarise } from "./record.js";
 
-/** A function that returns a vector: browsers without SIMD do not accept it. */
-const SIMD_PROBE = new Uint8Array([
-  0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11,
-]);
 /** A slice of work aims at this many milliseconds, and the page hears of it this often. */
 const SLICE = 20;
 const REPORT = 100;
@@ -26,11 +23,13 @@ let goOn = () => {};
 let rate = Infinity;
 
 const requests = {
-  start({ ticket, configuration, token }) {
+  /** Starts a run; held, it is judged and waits for `resume` before its first step. */
+  start({ ticket, configuration, token, held }) {
     current = ticket;
     moments = new Map();
     [evaluations, checks] = [[], []];
     requests.resume();
+    if (held) requests.pause();
     compute(configuration, token, ticket).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
   },
   pause() {
@@ -39,6 +38,16 @@ const requests = {
   resume() {
     goOn();
     gate = Promise.resolve();
+  },
+  /** Says what is wrong with a configuration, if anything is. */
+  async judge({ configuration }) {
+    let complaint = "";
+    try {
+      new (await loaded).Run(configuration).free();
+    } catch (error) {
+      complaint = error.message;
+    }
+    postMessage({ kind: "judged", complaint });
   },
   /** Ends the run; nothing more is heard of it. */
   leave({ ticket }) {
@@ -60,15 +69,14 @@ const loaded = load();
 loaded.catch(() => {});
 
 async function load() {
-  const name = WebAssembly.validate(SIMD_PROBE) ? "simd" : "scalar";
-  const module = await import(`./pkg/${name}.js`);
-  await module.default({ module_or_path: new URL(`pkg/${name}_bg.wasm`, import.meta.url) });
-  return { name, Run: module.Run, readToken: module.readToken, experiments: JSON.parse(module.experiments()) };
+  const module = await import(`./pkg/${MODULE}.js`);
+  await module.default({ module_or_path: new URL(`pkg/${MODULE}_bg.wasm`, import.meta.url) });
+  return { Run: module.Run, readToken: module.readToken, experiments: JSON.parse(module.experiments()) };
 }
 
 /** Safe training, then both learners side by side from the switch. */
 async function compute(configuration, token, ticket) {
-  const { name, Run, readToken, experiments } = await loaded;
+  const { Run, readToken, experiments } = await loaded;
   if (ticket !== current) return;
   const start = performance.now();
   let safe;
@@ -83,7 +91,7 @@ async function compute(configuration, token, ticket) {
   const world = JSON.parse(safe.world());
   const settings = JSON.parse(safe.settings());
   configuration = safe.configuration();
-  postMessage({ kind: "ready", ticket, module: name, experiments, world, configuration, settings, wanted: number });
+  postMessage({ kind: "ready", ticket, experiments, world, cost: safe.cost(), configuration, settings, wanted: number });
   if (!(await follow([safe], "switch", ticket))) return;
   const both = [safe.fork("baseline"), safe.fork("mc")];
   if (!(await follow(both, "done", ticket))) return;
@@ -96,6 +104,8 @@ async function follow(runs, end, ticket) {
   const states = new Map(runs.map((run) => [run, { budget: 16, due: 0, step: 0, began: 0 }]));
   let reported = performance.now();
   while (pending.size > 0) {
+    await gate;
+    if (ticket !== current) return false;
     let wait = Infinity;
     // A decision that is under way comes first: somebody may be waiting for it.
     const deciding = [...pending].filter((run) => states.get(run).began);
@@ -125,8 +135,6 @@ async function follow(runs, end, ticket) {
     }
     if (wait > 0 && wait < Infinity) await new Promise((resolve) => setTimeout(resolve, Math.min(wait, REPORT)));
     else await nextTask();
-    await gate;
-    if (ticket !== current) return false;
   }
   return true;
 }

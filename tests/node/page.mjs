@@ -49,6 +49,7 @@ const READ = `
     stamp: text("stamp"),
     origin: text("origin"),
     token: document.getElementById("share-token").value,
+    share: document.getElementById("share-link").value,
     ratings: [text("modified-utility"), text("unmodified-utility")],
     boards: [...document.querySelectorAll(".future .board")].map((board) => board.ariaLabel ?? ""),
     step: text("frame"),
@@ -84,9 +85,10 @@ function port(driver) {
 
 /** Whether the run is over and the check of the link, or else some check, is on show. */
 function settled(page) {
-  if (page.error || page.status.startsWith("Nothing")) return true;
+  if (page.status.startsWith("Nothing")) return true;
   if (!page.status.startsWith("Done") && !page.status.includes("checks,")) return false;
-  const check = new URLSearchParams(page.link).get("check");
+  // What a malformed link asks for is not what comes.
+  const check = page.error ? null : new URLSearchParams(page.link).get("check");
   return page.verdicts.length === 0 || page.moment.startsWith(check ? `Check ${check},` : "Check ");
 }
 

@@ -134,6 +134,11 @@ impl Handle {
         text(self.run.spec())
     }
 
+    /// What a run of this world costs, in words.
+    pub fn cost(&self) -> String {
+        self.run.config().experiment().cost.into()
+    }
+
     /// The canonical text of the run: the same text gives the same run here and natively.
     pub fn configuration(&self) -> String {
         self.run.config().to_string()

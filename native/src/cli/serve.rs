@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use axum::Router;
 use axum::extract::{Path as Segment, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::IntoResponse;
 use axum::routing::get;
@@ -19,6 +19,11 @@ use tower_http::set_header::SetResponseHeaderLayer;
 
 use super::terminal::Terminal;
 use super::{Done, usage};
+
+/// What the page may load: its own files only. The page says the same of itself; its workers take theirs
+/// from this header.
+const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; worker-src 'self'; \
+                      connect-src 'self'; img-src data:; base-uri 'none'; form-action 'self'";
 
 /// Arguments of `mcvl serve`.
 #[derive(Args)]
@@ -94,7 +99,7 @@ fn check_page(page: &Path) -> anyhow::Result<()> {
 /// Files of the page, and tapes of the run under `run/`.
 fn router(page: &Path, run: Option<RunDir>) -> Router {
     // `no-cache`: what was just rebuilt is what the browser gets.
-    let headers = [(CACHE_CONTROL, "no-cache"), (X_CONTENT_TYPE_OPTIONS, "nosniff")];
+    let headers = [(CACHE_CONTROL, "no-cache"), (CONTENT_SECURITY_POLICY, POLICY), (X_CONTENT_TYPE_OPTIONS, "nosniff")];
     let mut router = Router::new().fallback_service(ServeDir::new(page));
     if let Some(run) = run {
         router = router.merge(Router::new().route("/run/{tape}", get(tape)).with_state(run));

@@ -35,6 +35,7 @@ struct Page {
     link: String,
     origin: String,
     token: String,
+    share: String,
     stage: String,
     requests: Vec<String>,
 }
@@ -158,7 +159,8 @@ fn a_malformed_link_is_answered() {
     ];
     for (page, said) in pages.iter().zip(said) {
         assert!(page.error.starts_with(said), "{}", page.error);
-        assert!(!page.status.starts_with("Nothing"), "the page goes on: {}", page.status);
+        assert!(page.status.starts_with("Done in"), "the page goes on: {}", page.status);
+        assert!(!page.share.contains("sed=") && !page.share.contains("speed=3"), "a sound link: {}", page.share);
     }
 }
 
@@ -185,7 +187,7 @@ fn the_first_refusal_is_told_without_a_click_and_derived_again() {
     let stamp = "eval:return getComputedStyle(document.getElementById('stamp')).visibility";
     let row = "until:return document.getElementById('origin').textContent.startsWith('Decided here')";
     let seen = drive(&[&address, framed, &first, stamp, TOLD, &format!("eval:{hidden}"), stamp, row, "do:"]);
-    assert_eq!(seen[2], "What it does today", "the story begins before the surprise");
+    assert_eq!(seen[2], "How it goes on if nothing happens", "the story begins before the surprise");
     assert_eq!((&seen[3], &seen[6]), (&"hidden".into(), &"visible".into()), "the verdict comes last");
     assert_eq!(seen[5], Value::Array(Vec::new()), "all is told");
     let page = page(&seen[8]);
@@ -240,6 +242,20 @@ fn controls_do_what_they_say() {
     assert!(page(&seen[1]).link.contains("forecast=20") && page(&seen[1]).status.starts_with("Done"), "{:?}", seen[1]);
     let link = page(&seen[4]).link;
     assert!(["pace=16", "speed=4", "seed=4", "forecast=20"].iter().all(|part| link.contains(part)), "{link}");
+    let typo = "eval:document.getElementById('set-threshold').value = '0,5'; \
+                document.querySelector('#controls button').click(); await new Promise((go) => setTimeout(go, 300)); \
+                return [document.getElementById('error').textContent, document.getElementById('set-threshold').value]";
+    let pause = "eval:const stop = document.getElementById('stop'); const step = () => \
+                 document.querySelector('.leg p').textContent; stop.click(); \
+                 await new Promise((go) => setTimeout(go, 400)); const one = step(); \
+                 await new Promise((go) => setTimeout(go, 800)); const same = one === step(); stop.click(); \
+                 await new Promise((go) => setTimeout(go, 800)); return [same, one !== step()]";
+    let slow = format!("go:{}", at(&server, &format!("?{LINK}&pace=4")));
+    let running = "until:return document.querySelector('.leg p')?.textContent.startsWith('step')";
+    let paused = drive(&[&visits[0], typo, &slow, running, pause]);
+    assert_eq!(paused[1], serde_json::json!(["threshold: 0,5 is not a finite number. Nothing was changed.", "0,5"]));
+    assert_eq!(paused[4], serde_json::json!([true, true]), "paused it stands, resumed it goes on");
+
     let last = page(&seen[5]);
     let newest = last.verdicts.first().unwrap()[0].trim_start_matches('#').to_owned();
     assert!(last.moment.starts_with(&format!("Check {newest},")), "the timeline's end: {last:?}");
@@ -263,6 +279,10 @@ fn a_token_opens_the_same_moment_here_and_in_the_terminal() {
     let replayed = run(Command::new(mcvl()).args(["replay", &shown.token])).unwrap();
     assert!(replayed.contains("SAME"), "{replayed}");
 
+    let next = "do:document.getElementById('next').click(); await new Promise((go) => setTimeout(go, 300))";
+    let beside = page(&drive(&[&at(&server, &format!("?token={}", shown.token)), next])[1]);
+    assert!(beside.moment.starts_with("Check 3,") && beside.origin.ends_with("seconds."), "{}", beside.origin);
+
     let cut = &shown.token[..shown.token.len() - 3];
     let answered = page(&drive(&[&at(&server, &format!("?token={cut}"))])[0]);
     assert!(answered.error.starts_with("the token was cut or altered"), "{}", answered.error);
@@ -275,6 +295,13 @@ fn drop_file(name: &str, text: &str) -> String {
          document.dispatchEvent(new DragEvent('drop', {{ dataTransfer: data, bubbles: true, cancelable: true }}));",
         serde_json::to_string(text).unwrap()
     )
+}
+
+/// The tape without the films of one side of its first check.
+fn one_sided(tape: &str) -> String {
+    let mut tape: Value = serde_json::from_str(tape).unwrap();
+    tape["checks"][0]["modified"].as_object_mut().unwrap().remove("films").expect("a tape has films");
+    tape.to_string()
 }
 
 #[test]
@@ -316,6 +343,10 @@ fn recorded_runs_are_served_and_dropped() {
         complains("empty.json: the file is empty."),
         drop_file("altered.json", &tape.replace("\"frames\":[", "\"frames\":[3,")),
         complains("altered.json: "),
+        drop_file("legend.json", &tape.replace("\"legend\":[[", "\"legend\":[1,[")),
+        complains("legend.json: the"),
+        drop_file("films.json", &one_sided(&tape)),
+        complains("films.json: entry 1 of its checks is no check."),
         "eval:return document.querySelectorAll('#verdicts tr').length".to_owned(),
         drop_file("own.json", &tape),
         said("own.json"),
@@ -329,13 +360,15 @@ fn recorded_runs_are_served_and_dropped() {
         assert_eq!((page.moment, page.stamp.as_str()), (name(first), "REFUSED"));
         assert_eq!((page.scores.len(), page.origin.as_str()), (3, "Recorded by the native program."));
     }
+    let own = page(&seen[4]);
+    assert!(own.link.starts_with("?env=box-moving&seed=3&") && own.share.contains(&own.link), "{own:?}");
     let derived = page(&seen[1]);
     assert!(derived.status.starts_with("Done in") && derived.origin.starts_with("Decided here"), "{derived:?}");
     assert_eq!(derived.verdicts, page(&seen[0]).verdicts, "what was recorded is what is derived");
     let dropped = page(&seen[7]);
     assert_eq!((dropped.verdicts.len(), dropped.moment), (checks.len(), name(first)));
-    assert_eq!(seen[22], checks.len(), "what was on show before the bad files still is");
-    assert_eq!(seen[25], true, "a good file takes the complaint away");
+    assert_eq!(seen[26], checks.len(), "what was on show before the bad files still is");
+    assert_eq!(seen[29], true, "a good file takes the complaint away");
 }
 
 #[test]
@@ -387,22 +420,19 @@ fn with_reduced_motion_nothing_moves_by_itself() {
     let stage = "eval:return document.getElementById('stage').textContent";
     let next = "eval:document.getElementById('forward').click()";
     let framed = "until:return performance.getEntriesByName('first-frame').length === 1 && \
+                  document.getElementById('module').textContent.startsWith('module') && \
                   document.getElementById('status').textContent.startsWith('Nothing')";
     let address = format!("go:{}", at(&server, ""));
-    let seen = drive(&[
-        reduce,
-        &address,
-        framed,
-        watch,
-        later,
-        quiet,
-        stage,
-        next,
-        stage,
-        "do:document.querySelector('#controls button').click()",
-    ]);
+    let link = format!("go:{}", at(&server, &format!("?{LINK}&check=2&frame=7")));
+    let start = "do:document.getElementById('start').click(); await new Promise((go) => setTimeout(go, 200))";
+    let wrong = format!("go:{}", at(&server, "?sed=1"));
+    let complains = "until:return document.getElementById('error').textContent.startsWith('unknown setting')";
+    let commands = [reduce, &address, framed, watch, later, quiet, stage, next, stage, &link, start, &wrong, complains];
+    let seen = drive(&commands);
     assert_eq!(seen[5], serde_json::json!([0, 0]), "changes and animations before the visitor acts");
     assert_eq!((&seen[6], &seen[8]), (&"1 of 6: A surprise".into(), &"2 of 6: Copy the agent twice".into()));
+    let opened = page(&seen[10]);
+    assert!(opened.moment.starts_with("Check 2,") && opened.step.starts_with("step 7 of"), "{opened:?}");
 }
 
 #[test]

@@ -30,6 +30,8 @@ fn head(stream: &mut TcpStream) -> String {
 #[test]
 fn files_have_the_types_that_browsers_insist_on() {
     let server = Server::start(None);
+    let page = std::fs::read_to_string(mcvl_tests::root().join("www/index.html")).unwrap();
+    let policy = page.split("Content-Security-Policy\" content=\"").nth(1).unwrap().split('"').next().unwrap();
     for (path, expected) in [
         ("/", "text/html"),
         ("/page.js", "text/javascript"),
@@ -41,6 +43,7 @@ fn files_have_the_types_that_browsers_insist_on() {
         assert!(head.contains(&format!("\r\ncontent-type: {expected}")), "{path}: {head}");
         assert!(head.contains("\r\nx-content-type-options: nosniff\r\n"), "{path}: {head}");
         assert!(head.contains("\r\ncache-control: no-cache\r\n"), "{path}: {head}");
+        assert!(head.contains(&format!("\r\ncontent-security-policy: {policy}\r\n")), "{path}: {head}");
     }
 }
 
