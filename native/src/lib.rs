@@ -1,4 +1,6 @@
-//! The native trainer: runs and files, statistics, figures and reports, and the command `mcvl`.
+//! The native trainer: runs and files, statistics, figures, reports and exports, and the command
+//! `mcvl`.
 
+pub mod export;
 pub mod report;
 pub mod runs;

@@ -2,6 +2,7 @@
 //! progress and messages.
 
 mod doctor;
+mod export;
 mod inspect;
 mod progress;
 mod replay;
@@ -80,6 +81,8 @@ enum Command {
     Compare(report::CompareArgs),
     /// Write a self-contained HTML report with curves and decisions
     Report(report::ReportArgs),
+    /// Write a run in formats that other tools read
+    Export(export::ExportArgs),
     /// Serve the page to this machine's browser, with a run on it
     Serve(serve::ServeArgs),
     /// Say what this machine offers and whether its arithmetic is exact
@@ -160,6 +163,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Verify(arguments) => inspect::verify(&arguments, terminal),
         Command::Compare(arguments) => report::compare(&arguments, terminal),
         Command::Report(arguments) => report::report(&arguments, terminal),
+        Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),
         Command::Completions { shell } => {

@@ -109,16 +109,28 @@ pub fn finished() -> TempDir {
     folder
 }
 
-fn json(text: &str) -> Value {
+pub fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|error| panic!("{error} in {text}"))
 }
 
-fn lines(path: &Path) -> Vec<String> {
+pub fn lines(path: &Path) -> Vec<String> {
     fs::read_to_string(path).expect("the file can be read").lines().map(str::to_owned).collect()
 }
 
-const COMMANDS: &[&str] =
-    &["train", "envs", "ledger", "explain", "replay", "verify", "compare", "report", "doctor", "completions"];
+const COMMANDS: &[&str] = &[
+    "train",
+    "envs",
+    "ledger",
+    "explain",
+    "replay",
+    "verify",
+    "compare",
+    "report",
+    "export",
+    "serve",
+    "doctor",
+    "completions",
+];
 
 #[test]
 fn help_fits_into_80_columns_and_is_complete() {

@@ -4,6 +4,7 @@ mod cli;
 mod cli_docs;
 mod cli_errors;
 mod cli_resume;
+mod export;
 mod golden;
 mod page;
 mod serve;
