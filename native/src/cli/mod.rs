@@ -4,6 +4,7 @@
 mod doctor;
 mod export;
 mod inspect;
+mod play;
 mod progress;
 mod replay;
 mod report;
@@ -81,6 +82,8 @@ enum Command {
     Compare(report::CompareArgs),
     /// Write a self-contained HTML report with curves and decisions
     Report(report::ReportArgs),
+    /// Act in an environment yourself; at the end see the hidden score
+    Play(play::PlayArgs),
     /// Write a run in formats that other tools read
     Export(export::ExportArgs),
     /// Serve the page to this machine's browser, with a run on it
@@ -163,6 +166,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Verify(arguments) => inspect::verify(&arguments, terminal),
         Command::Compare(arguments) => report::compare(&arguments, terminal),
         Command::Report(arguments) => report::report(&arguments, terminal),
+        Command::Play(arguments) => play::play(&arguments, terminal),
         Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),

@@ -126,6 +126,7 @@ const COMMANDS: &[&str] = &[
     "verify",
     "compare",
     "report",
+    "play",
     "export",
     "serve",
     "doctor",

@@ -7,6 +7,7 @@ mod cli_resume;
 mod export;
 mod golden;
 mod page;
+mod play;
 mod serve;
 mod tidy;
 mod wasm;
