@@ -1,6 +1,7 @@
 //! The command line: what can be asked, and which exit code answers. stdout carries results, stderr
 //! progress and messages.
 
+mod bench;
 mod doctor;
 mod export;
 mod inspect;
@@ -88,6 +89,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Serve the page to this machine's browser, with a run on it
     Serve(serve::ServeArgs),
+    /// Measure updates, forecasts, checks and steps per second
+    Bench(bench::BenchArgs),
     /// Say what this machine offers and whether its arithmetic is exact
     Doctor(doctor::DoctorArgs),
     /// Print completions for a shell
@@ -169,6 +172,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Play(arguments) => play::play(&arguments, terminal),
         Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),
+        Command::Bench(arguments) => bench::bench(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),
         Command::Completions { shell } => {
             let mut text = Vec::new();
