@@ -48,13 +48,6 @@ fn adam(lr: f32) -> AdamConfig {
     AdamConfig { kind: Optimizer::Adam, lr, weight_decay: 0.0, clip: 0.0 }
 }
 
-/// Multiply-adds of one dense DDQN update: forward on s and s' with the live network, on s' with the
-/// target, backward without the gradient of the input.
-fn multiply_adds(width: usize, hidden: usize, actions: usize) -> usize {
-    let (first, rest) = (width * hidden, hidden * hidden + hidden * actions);
-    BATCH as usize * (3 * (first + rest) + first + 2 * rest)
-}
-
 /// Multiply-adds per second without fusing, measured.
 fn peak() -> f64 {
     let mut lanes = [0.5f32; PROBE_LANES];
@@ -76,18 +69,20 @@ const CASES: [(&str, bool, usize, usize); 5] = [
     ("290-onehot-22-states", true, 29, 22),
 ];
 
-/// One update of a case, mini-batch included.
-fn update((_, binary, cells, states): (&str, bool, usize, usize)) -> impl FnMut() {
+/// One update of a case, mini-batch included, and its multiply-adds by the dense definition.
+fn update((_, binary, cells, states): (&str, bool, usize, usize)) -> (u64, impl FnMut()) {
     let replay = replay(binary, cells, states);
     let config = DdqnConfig { hidden: 128, layers: 2, gamma: 0.95, tau: 0.005, adam: adam(1e-4) };
     let mut agent = Ddqn::new(replay.spec(), &ACTIONS, &config, &mut Rng::new(2));
+    let work = agent.update_work(BATCH);
     let (mut batch, mut slots, mut rng) = (Minibatch::default(), Vec::new(), Rng::new(3));
     let none = Forced::new(&[], &replay);
-    move || {
+    let update = move || {
         draw_slots(replay.len(), BATCH, &mut rng, &mut slots);
         batch.gather(&replay, &slots, &none);
         black_box(agent.update(&batch, &mut Rng::new(0)));
-    }
+    };
+    (work, update)
 }
 
 /// Seconds per update: median over batches of 200.
@@ -108,11 +103,11 @@ fn updates(c: &mut Criterion) {
     println!("vector unit {}: {:.1} G multiply-adds/s at most, not fused", Isa::active().name(), peak / 1e9);
     let mut group = c.benchmark_group("ddqn-update");
     for case in CASES {
-        let work = multiply_adds(10 * case.2, 128, 4);
-        let rate = work as f64 / seconds(update(case));
+        let (work, once) = update(case);
+        let rate = work as f64 / seconds(once);
         println!("{}: {work} multiply-adds by definition, {:.0} % of the peak", case.0, 100.0 * rate / peak);
-        group.throughput(Throughput::Elements(work as u64));
-        group.bench_function(case.0, |b| b.iter(update(case)));
+        group.throughput(Throughput::Elements(work));
+        group.bench_function(case.0, |b| b.iter(update(case).1));
     }
     group.finish();
 }
@@ -156,7 +151,7 @@ criterion_group!(benches, updates, reward_model, box_moving);
 fn main() {
     if std::env::args().any(|arg| arg == "--time") {
         println!("peak {:e}", peak());
-        CASES.into_iter().for_each(|case| println!("{} {:e}", case.0, seconds(update(case))));
+        CASES.into_iter().for_each(|case| println!("{} {:e}", case.0, seconds(update(case).1)));
         return;
     }
     benches();

@@ -431,6 +431,11 @@ impl Config {
         Self { seed, ..self.clone() }
     }
 
+    /// Seed of the initial weights.
+    pub fn weights_seed(&self) -> u64 {
+        if self.shared_weights { 0 } else { self.seed }
+    }
+
     /// The same run with another learner in the Full phase.
     pub fn with_agent(&self, agent: Learner) -> Self {
         Self { agent, ..self.clone() }

@@ -15,6 +15,7 @@
 //! - [`env`](mod@env): worlds; implement [`env::Environment`] for yours and run [`env::contract::check`] on it.
 //! - [`trainer::Trainer`]: the loop, polled with a budget; [`run::Run`] is the same with its types erased,
 //!   for the built-in worlds.
+//! - [`play::Play`]: a built-in world without a learner.
 //! - [`config`]: every setting with its meaning and source; a run is a string.
 //! - [`record`]: what a run says, and what every number means.
 //! - [`check`], [`forecast`]: the decision; [`agent`], [`nn`], [`replay`]: what learns.
@@ -32,6 +33,7 @@ pub mod exact;
 pub mod experiment;
 pub mod forecast;
 pub mod nn;
+pub mod play;
 pub mod record;
 pub mod replay;
 pub mod rng;

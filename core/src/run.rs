@@ -18,6 +18,7 @@ use crate::env::rocks_and_diamonds::RocksAndDiamonds;
 use crate::env::tomato_watering::TomatoWatering;
 use crate::env::{BuiltIn, Discrete, EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
+use crate::play;
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
 
@@ -241,11 +242,12 @@ where
     }
 }
 
-/// A built-in world with its types erased: how runs in it begin and come back.
+/// A built-in world with its types erased: how runs in it begin and come back, and the bare world.
 struct World {
     name: &'static str,
     begin: fn(&Config) -> Box<dyn Erased>,
     resume: fn(&[u8]) -> Resumed,
+    play: fn(&Config, Arm) -> Box<dyn play::World>,
 }
 
 /// What became of a snapshot's state.
@@ -264,7 +266,7 @@ impl World {
     where
         E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
     {
-        Self { name: E::NAME, begin: begin::<E>, resume: resume::<E> }
+        Self { name: E::NAME, begin: begin::<E>, resume: resume::<E>, play: bare::<E> }
     }
 
     fn find(name: &str) -> Option<&'static Self> {
@@ -292,6 +294,21 @@ where
         return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
     }
     Ok(Box::new(Typed::from(trainer)))
+}
+
+/// The world of a leg.
+fn bare<E>(config: &Config, leg: Arm) -> Box<dyn play::World>
+where
+    E: BuiltIn<Action = Discrete> + Send + 'static,
+{
+    let (safe, full) = E::worlds(config);
+    Box::new(if leg == Arm::Safe { safe } else { full })
+}
+
+/// The world of a leg, without a learner.
+pub(crate) fn world(config: &Config, leg: Arm) -> Box<dyn play::World> {
+    let world = World::find(&config.env).expect("only built-in worlds have names");
+    (world.play)(config, leg)
 }
 
 impl<E: Environment<Action = Discrete>> From<Trainer<E, Ddqn>> for Typed<E> {

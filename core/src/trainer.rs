@@ -32,7 +32,7 @@ use core::task::Poll;
 use serde::{Deserialize, Serialize};
 
 use crate::agent::Agent;
-use crate::agent::ddqn::{Ddqn, DdqnConfig};
+use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
 use crate::check::utility::{Judge, Rollout, Start, rate, summarise};
 use crate::check::{Trigger, decide};
@@ -41,7 +41,6 @@ use crate::digest::Digest;
 use crate::env::{Action, Discrete, Environment, EpisodeEnd, Frame, Step};
 use crate::forecast::{ForecastError, ForecastJob, Forecaster};
 use crate::nn::mlp::Scratch;
-use crate::nn::optim::AdamConfig;
 use crate::nn::rows::Rows;
 use crate::record::{
     Arm, CheckRecord, EndRecord, EpisodeRecord, EvaluationRecord, Event, LearnerRecord, Recorder, StartRecord,
@@ -107,20 +106,8 @@ struct Losses {
 impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
     /// A DDQN learner with the networks that `config` describes, drawn from its seed.
     pub fn gridworld(config: Config, safe: E, full: E) -> Self {
-        let seed = if config.shared_weights { 0 } else { config.seed };
-        let spec = safe.spec();
-        let (hidden, layers) = (config.hidden as usize, config.layers as usize);
-        let adam = |lr| AdamConfig {
-            kind: config.optimizer,
-            lr,
-            weight_decay: config.weight_decay,
-            clip: config.gradient_clip,
-        };
-        let ddqn = DdqnConfig { hidden, layers, gamma: config.gamma, tau: config.tau, adam: adam(config.lr) };
-        let weights = |network| Rng::stream(seed, Purpose::Weights, network);
-        let agent = Ddqn::new(spec.observation, &spec.actions, &ddqn, &mut weights(0));
-        let adam = adam(config.lr_reward);
-        let reward = RewardModel::new(spec.observation, &spec.actions, hidden, layers, adam, &mut weights(1));
+        let agent = Ddqn::configured(&config, safe.spec());
+        let reward = RewardModel::configured(&config, safe.spec());
         Self::new(config, safe, full, agent, reward)
     }
 }

@@ -71,6 +71,8 @@ fn collect(folder: &Path, found: &mut Vec<SourceFile>) {
             if !hidden && !MADE.contains(&name.as_str()) {
                 collect(&path, found);
             }
+        } else if name == ".git" {
+            // A linked worktree has a file there, with a path of its machine; it is not committed.
         } else if let Ok(text) = fs::read_to_string(&path) {
             let relative = path.strip_prefix(root()).expect("it was found below the root");
             found.push(SourceFile { path: relative.to_string_lossy().replace('\\', "/"), text });

@@ -15,15 +15,16 @@ use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::Agent;
+use crate::config::Config;
 use crate::digest::Digest;
-use crate::env::{Action, ActionSpec, Discrete, ObservationSpec};
+use crate::env::{Action, ActionSpec, Discrete, EnvSpec, ObservationSpec};
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::smooth_l1;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
 use crate::nn::optim::{Adam, AdamConfig};
 use crate::nn::rows::Rows;
 use crate::replay::{Minibatch, NO_ROW};
-use crate::rng::Rng;
+use crate::rng::{Purpose, Rng};
 
 /// Settings of the learner.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +73,25 @@ impl Ddqn {
         let (rows, row) = if observation.binary { online.first_rows() } else { (0, 0) };
         let optimizer = Adam::new(config.adam, online.params().len(), rows, row);
         Self { gamma: config.gamma, tau: config.tau, target: online.clone(), online, optimizer, work: Work::default() }
+    }
+
+    /// The learner that a configuration describes, with weights drawn from its seed.
+    pub fn configured(config: &Config, spec: &EnvSpec) -> Self {
+        let ddqn = DdqnConfig {
+            hidden: config.hidden as usize,
+            layers: config.layers as usize,
+            gamma: config.gamma,
+            tau: config.tau,
+            adam: AdamConfig::of(config, config.lr),
+        };
+        let mut weights = Rng::stream(config.weights_seed(), Purpose::Weights, 0);
+        Self::new(spec.observation, &spec.actions, &ddqn, &mut weights)
+    }
+
+    /// Multiply-adds of an update on `batch` transitions, by the dense definition: s and s' forward through
+    /// the live network, s' through the target network, s backward.
+    pub fn update_work(&self, batch: u32) -> u64 {
+        u64::from(batch) * (3 * self.online.forward_work() + self.online.backward_work())
     }
 
     /// The live network, Q(·; θ).

@@ -8,15 +8,16 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::digest::Digest;
-use crate::env::{Action, ActionSpec, ObservationSpec};
+use crate::env::{Action, ActionSpec, EnvSpec, ObservationSpec};
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::squared;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
 use crate::nn::optim::{Adam, AdamConfig};
 use crate::nn::rows::Rows;
 use crate::replay::{Minibatch, NO_ROW};
-use crate::rng::Rng;
+use crate::rng::{Purpose, Rng};
 
 /// The model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -67,6 +68,19 @@ impl RewardModel {
             optimizer,
             work: Work::default(),
         }
+    }
+
+    /// The model that a configuration describes, with weights drawn from its seed.
+    pub fn configured(config: &Config, spec: &EnvSpec) -> Self {
+        let mut weights = Rng::stream(config.weights_seed(), Purpose::Weights, 1);
+        let (hidden, layers) = (config.hidden as usize, config.layers as usize);
+        let adam = AdamConfig::of(config, config.lr_reward);
+        Self::new(spec.observation, &spec.actions, hidden, layers, adam, &mut weights)
+    }
+
+    /// Multiply-adds of an update on `batch` transitions, by the dense definition.
+    pub fn update_work(&self, batch: u32) -> u64 {
+        u64::from(batch) * (self.network.forward_work() + self.network.backward_work())
     }
 
     /// The network.

@@ -129,6 +129,18 @@ impl Mlp {
         self.params.iter().all(|value| value.is_finite())
     }
 
+    /// Multiply-adds of a forward pass of one row, by the dense definition: for shares of a machine's peak.
+    pub fn forward_work(&self) -> u64 {
+        self.layers().map(|layer| (layer.inputs * layer.outputs) as u64).sum()
+    }
+
+    /// Multiply-adds of a backward pass of one row: the gradients of all weights, and those of the inputs
+    /// of every layer but the first.
+    pub fn backward_work(&self) -> u64 {
+        let first = (self.sizes[0] * self.sizes[1]) as u64;
+        2 * self.forward_work() - first
+    }
+
     /// Weights `[inputs, outputs]` and biases `[outputs]` of layer `index`.
     ///
     /// # Panics
@@ -282,6 +294,13 @@ mod tests {
             rows.push_observation(&observation);
         }
         rows
+    }
+
+    #[test]
+    fn work_is_that_of_the_dense_definition() {
+        let network = Mlp::zeros(&[3, 4, 5, 2]);
+        assert_eq!(network.forward_work(), 12 + 20 + 10);
+        assert_eq!(network.backward_work(), (12 + 20 + 10) + (20 + 10));
     }
 
     /// The definition in f64, one row at a time.

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::buffer::Buffer;
 use super::isa::{self, Isa, Lanes};
-use crate::config::Optimizer;
+use crate::config::{Config, Optimizer};
 
 /// Decay of the first moment.
 pub const BETA1: f64 = 0.9;
@@ -43,6 +43,13 @@ pub struct AdamConfig {
     pub weight_decay: f32,
     /// Clip of each gradient element; 0 = none.
     pub clip: f32,
+}
+
+impl AdamConfig {
+    /// The optimiser that a configuration describes, with this learning rate.
+    pub fn of(config: &Config, lr: f32) -> Self {
+        Self { kind: config.optimizer, lr, weight_decay: config.weight_decay, clip: config.gradient_clip }
+    }
 }
 
 /// What is constant over one step.

@@ -1,11 +1,11 @@
 //! Looking at what is there: environments, decisions, and whether files are what was written.
 
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use mcvl::report::film;
-use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunsError, SeedDir, SeedRun, State};
+use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State};
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::record::{CheckRecord, Verdict};
@@ -132,13 +132,8 @@ pub struct LedgerArgs {
 
 /// Lists decisions.
 pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let set = runs::RunSet::read(&arguments.run)?;
-    let seeds: Vec<&SeedRun> =
-        set.seeds.iter().filter(|run| arguments.seed.is_none_or(|only| only == run.seed)).collect();
-    if let (Some(seed), true) = (arguments.seed, seeds.is_empty()) {
-        let there: Vec<String> = set.seeds.iter().map(|run| run.seed.to_string()).collect();
-        super::usage!("{} has no seed {seed}: there are {}", arguments.run.display(), there.join(", "));
-    }
+    let set = RunSet::read(&arguments.run)?;
+    let seeds = seeds(&set, arguments.seed)?;
     let shown = |check: &&CheckRecord| {
         let refused = check.verdict == Verdict::Refuse;
         (!arguments.refused || refused) && (!arguments.accepted || !refused) && (!arguments.wrong || check.wrong())
@@ -171,6 +166,16 @@ pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result
         }
     }
     Ok(Done::Well)
+}
+
+/// The seeds of a run that were asked for: one, or all that have begun.
+pub fn seeds(set: &RunSet, only: Option<u64>) -> anyhow::Result<Vec<&SeedRun>> {
+    let seeds: Vec<&SeedRun> = set.seeds.iter().filter(|run| only.is_none_or(|only| only == run.seed)).collect();
+    if let (Some(seed), true) = (only, seeds.is_empty()) {
+        let there: Vec<String> = set.seeds.iter().map(|run| run.seed.to_string()).collect();
+        super::usage!("{} has no seed {seed}: there are {}", set.path.display(), there.join(", "));
+    }
+    Ok(seeds)
 }
 
 /// Arguments of `mcvl explain`.
@@ -225,14 +230,7 @@ impl Found {
         }
         let mut lines = runs::ledger(&dir)?;
         let count = lines.len();
-        if reference.number as usize > count {
-            let path = reference.place.display();
-            let there = match count {
-                0 => "it has no checks".to_owned(),
-                _ => format!("its checks are 1 to {count} (`mcvl ledger {path}` lists them)"),
-            };
-            super::usage!("{path} has no check {}: {there}", reference.number);
-        }
+        check_exists(&reference.place, reference.number, count)?;
         lines.truncate(reference.number as usize);
         Ok(Self { dir, config: plan.config.with_seed(seed).with_agent(Learner::Mc), lines })
     }
@@ -241,6 +239,19 @@ impl Found {
     pub fn line(&self) -> &LedgerLine {
         self.lines.last().expect("checks are counted from 1")
     }
+}
+
+/// Fails unless `number` is one of the `count` checks of a run or seed.
+pub fn check_exists(place: &Path, number: u32, count: usize) -> anyhow::Result<()> {
+    if (1..=count).contains(&(number as usize)) {
+        return Ok(());
+    }
+    let path = place.display();
+    let there = match count {
+        0 => "it has no checks".to_owned(),
+        _ => format!("its checks are 1 to {count} (`mcvl ledger {path}` lists them)"),
+    };
+    super::usage!("{path} has no check {number}: {there}");
 }
 
 /// Arguments of `mcvl verify`.

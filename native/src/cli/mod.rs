@@ -1,8 +1,11 @@
 //! The command line: what can be asked, and which exit code answers. stdout carries results, stderr
 //! progress and messages.
 
+mod bench;
 mod doctor;
+mod export;
 mod inspect;
+mod play;
 mod progress;
 mod replay;
 mod report;
@@ -80,8 +83,14 @@ enum Command {
     Compare(report::CompareArgs),
     /// Write a self-contained HTML report with curves and decisions
     Report(report::ReportArgs),
+    /// Act in an environment yourself; at the end see the hidden score
+    Play(play::PlayArgs),
+    /// Write a run in formats that other tools read
+    Export(export::ExportArgs),
     /// Serve the page to this machine's browser, with a run on it
     Serve(serve::ServeArgs),
+    /// Measure updates, forecasts, checks and steps per second
+    Bench(bench::BenchArgs),
     /// Say what this machine offers and whether its arithmetic is exact
     Doctor(doctor::DoctorArgs),
     /// Print completions for a shell
@@ -160,7 +169,10 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Verify(arguments) => inspect::verify(&arguments, terminal),
         Command::Compare(arguments) => report::compare(&arguments, terminal),
         Command::Report(arguments) => report::report(&arguments, terminal),
+        Command::Play(arguments) => play::play(&arguments, terminal),
+        Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),
+        Command::Bench(arguments) => bench::bench(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),
         Command::Completions { shell } => {
             let mut text = Vec::new();

@@ -11,6 +11,9 @@ use super::RunsError;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunDir(PathBuf);
 
+/// Folder of exports. Nothing vouches for what lies there: it can be made again.
+const EXPORTS: &str = "export";
+
 /// Files that training and reports write at the top of a run directory.
 const OWN_FILES: &[&str] =
     &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", "report.html", ".lock"];
@@ -44,6 +47,11 @@ impl RunDir {
     /// Learning curves: as SVG with `svg`, as PNG with `png`.
     pub fn curves(&self, extension: &str) -> PathBuf {
         self.0.join("curves").with_extension(extension)
+    }
+
+    /// Folder of an export that names no other place.
+    pub fn export(&self, format: &str) -> PathBuf {
+        self.0.join(EXPORTS).join(format)
     }
 
     /// Held by the process that trains here.
@@ -92,7 +100,7 @@ impl RunDir {
         }
     }
 
-    /// Deletes what training and reports wrote here, and nothing else; the lock stays.
+    /// Deletes what training, reports and exports wrote here, and nothing else; the lock stays.
     ///
     /// # Errors
     /// If something cannot be deleted.
@@ -101,7 +109,7 @@ impl RunDir {
         for entry in entries {
             let path = entry.map_err(RunsError::io("read the folder", &self.0))?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if seed_of(&name).is_some() {
+            if seed_of(&name).is_some() || name == EXPORTS {
                 fs::remove_dir_all(&path).map_err(RunsError::io("delete", &path))?;
             } else if name != ".lock" && (OWN_FILES.contains(&name.as_str()) || is_temporary(&name)) {
                 fs::remove_file(&path).map_err(RunsError::io("delete", &path))?;

@@ -5,6 +5,7 @@
 //!   run.toml                  Plan       every setting with its origin, seeds, learners
 //!   manifest.json             Manifest   machine, versions, digests of finished files
 //!   summary.json, curves.svg, curves.png
+//!   export/                              what `mcvl export` made of it
 //!   seed-0/                   SeedDir    one job: Safe, then each learner from the same switch
 //!     metrics.jsonl  steps.csv  ledger.jsonl  tapes/check-17.json
 //!     checkpoints/state.snapshot  switch.snapshot  safe.safetensors  mc.safetensors
@@ -43,7 +44,7 @@ pub use pool::{Control, Outcome, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
 pub use tape::run_tape;
 pub use verify::{Finding, Verification, verify};
-pub use write::{Lock, STEP_COLUMNS, SeedWriter, step_row, write_atomic};
+pub use write::{Lock, STEP_COLUMNS, SeedWriter, end_name, step_row, write_atomic};
 
 /// One seed of a run directory, read back: the Safe leg and every learner's Full leg.
 #[derive(Clone, Debug)]

@@ -146,14 +146,19 @@ pub fn check_logs(dir: &SeedDir, marks: &LogMarks) -> Result<(), RunsError> {
     Ok(())
 }
 
-/// The row of a step in `steps.csv`. Numbers are printed with the fewest digits that read back exactly.
-pub fn step_row(step: &StepRecord) -> String {
-    let ActionValue::Discrete(action) = step.action;
-    let end = match step.end {
+/// How an episode ended, in a table.
+pub fn end_name(end: Option<EpisodeEnd>) -> &'static str {
+    match end {
         None => "",
         Some(EpisodeEnd::Terminated) => "terminated",
         Some(EpisodeEnd::Truncated) => "truncated",
-    };
+    }
+}
+
+/// The row of a step in `steps.csv`. Numbers are printed with the fewest digits that read back exactly.
+pub fn step_row(step: &StepRecord) -> String {
+    let ActionValue::Discrete(action) = step.action;
+    let end = end_name(step.end);
     format!(
         "{},{},{action},{},{},{},{},{},{},{end}",
         step.arm.name(),

@@ -109,16 +109,30 @@ pub fn finished() -> TempDir {
     folder
 }
 
-fn json(text: &str) -> Value {
+pub fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|error| panic!("{error} in {text}"))
 }
 
-fn lines(path: &Path) -> Vec<String> {
+pub fn lines(path: &Path) -> Vec<String> {
     fs::read_to_string(path).expect("the file can be read").lines().map(str::to_owned).collect()
 }
 
-const COMMANDS: &[&str] =
-    &["train", "envs", "ledger", "explain", "replay", "verify", "compare", "report", "doctor", "completions"];
+const COMMANDS: &[&str] = &[
+    "train",
+    "envs",
+    "ledger",
+    "explain",
+    "replay",
+    "verify",
+    "compare",
+    "report",
+    "play",
+    "export",
+    "serve",
+    "bench",
+    "doctor",
+    "completions",
+];
 
 #[test]
 fn help_fits_into_80_columns_and_is_complete() {
@@ -285,6 +299,35 @@ fn json_is_valid_and_stdout_has_nothing_else() {
 }
 
 #[test]
+fn speed_is_measured_on_one_core_and_on_all() {
+    let folder = scratch();
+    let answer = ask(folder.path(), "bench box-moving --time 1ms");
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(answer.stdout.lines().all(|line| line.chars().count() <= 80), "{}", answer.stdout);
+    let bench = json(&ok(folder.path(), "bench box-moving --time 1ms --json -q"));
+    assert!(bench["cores"].as_u64() > Some(0) && bench["multiply_adds_per_second"]["one"].as_f64() > Some(0.0));
+    let measured = bench["measured"].as_array().unwrap();
+    assert_eq!(measured.len(), 5);
+    for case in measured {
+        let name = case["name"].as_str().unwrap();
+        assert!(answer.stdout.contains(&format!("\n  {name} ")), "{name} is missing in\n{}", answer.stdout);
+        for cores in ["one", "all"] {
+            let (rate, share) = (case["per_second"][cores].as_f64(), case["share_of_peak"][cores].as_f64());
+            assert!(rate > Some(0.0), "{case}");
+            // Where multiply-adds are counted, the share follows from them.
+            let peak = bench["multiply_adds_per_second"][cores].as_f64().unwrap();
+            let expected = case["multiply_adds"].as_f64().map(|work| rate.unwrap() * work / peak);
+            match (share, expected) {
+                (Some(share), Some(expected)) => assert!((share / expected - 1.0).abs() < 1e-9, "{case}"),
+                neither => assert_eq!(neither, (None, None), "{case}"),
+            }
+        }
+    }
+    let answer = ask(folder.path(), "bench box-movin");
+    assert!(answer.code == 2 && answer.stderr.contains("did you mean `box-moving`?"), "{}", answer.stderr);
+}
+
+#[test]
 fn claims_are_an_exit_code() {
     let folder = scratch();
     // Twenty steps are too few to find the hack: the first claim cannot hold.
@@ -396,7 +439,8 @@ fn colours_are_for_terminals_that_want_them() {
 #[test]
 fn a_reader_that_leaves_is_no_failure() {
     let folder = finished();
-    for arguments in ["ledger run --json", "envs", "explain run#1", "doctor"] {
+    for arguments in ["ledger run --json", "envs", "explain run#1", "doctor", "play box-moving", "export run --to csv"]
+    {
         let mut command = program(folder.path());
         let mut child =
             command.args(arguments.split(' ')).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

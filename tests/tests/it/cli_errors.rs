@@ -101,12 +101,19 @@ fn mistakes_about_runs() {
         ("explain none#1", &["there is no run at none"]),
         ("replay run#99", &["run has no check 99"]),
         ("replay hello", &["`hello` is no replay token: those begin with mcvl1."]),
-        (&cut, &["cut or altered", "mcvl explain"]),
-        (&altered, &["cut or altered", "mcvl explain"]),
+        (&cut, &["cut or altered", "copy it whole"]),
+        (&altered, &["cut or altered", "copy it whole"]),
         ("verify none", &["there is no run at none"]),
         ("compare none", &["there is no run at none"]),
         ("compare run --assert mc.performence>1", &["did you mean `mc.performance`?"]),
         ("report none", &["there is no run at none"]),
+        ("export none --to csv", &["there is no run at none"]),
+        ("export run --to cvs", &["csv"]),
+        ("export run --to csv --seed 7", &["run has no seed 7: there are 0, 3"]),
+        ("export run --to csv --seed 0 --check 1", &["--check chooses what a tape holds", "csv"]),
+        ("export run --to tape --check 1", &["--check counts the checks of one seed", "--seed"]),
+        ("export run --to tape --seed 3 --check 1 --check 99", &["run/seed-3 has no check 99: its checks are 1 to"]),
+        ("export run --to tape -o both.json", &["both.json is one file for 2 tapes", "--seed"]),
     ] {
         check(folder, arguments, 2, parts);
     }
@@ -125,6 +132,8 @@ fn places_that_cannot_be_written() {
         ("report run -o file/report.html", "file/report.html"),
         ("report run -o none/report.html", "none/report.html"),
         ("explain run#1 --svg none/check.svg", "none/check.svg"),
+        ("export run --to csv -o file", "file"),
+        ("export run --to tape -o file/tapes", "file/tapes"),
     ] {
         check(folder, arguments, 3, &[part]);
     }

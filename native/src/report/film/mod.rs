@@ -9,7 +9,7 @@ use mcvl_core::record::{CheckRecord, Film, StartState, Verdict};
 
 pub use picture::svg;
 pub(super) use picture::{frame, ratings};
-pub use terminal::explain;
+pub use terminal::{board, explain};
 
 /// Longest cycle that is looked for.
 const LONGEST_CYCLE: usize = 8;
@@ -150,14 +150,19 @@ pub(super) fn rollout_words(rollouts: &[f64]) -> String {
 }
 
 /// The characters that occur, with their meaning.
+pub fn legend_of(names: &EnvSpec, frames: &[&Frame]) -> String {
+    let occurs = |cell: char| frames.iter().any(|frame| frame.seen.contains(cell));
+    let entries = names.legend.iter().filter(|(cell, _)| *cell != ' ' && occurs(*cell));
+    let told: Vec<String> = entries.map(|(cell, meaning)| format!("{cell} {meaning}")).collect();
+    told.join("; ")
+}
+
+/// What the strips of a check show.
 pub(super) fn legend(check: &CheckRecord, names: &EnvSpec) -> String {
     let futures = [&check.modified, &check.unmodified];
     let films = futures.into_iter().flat_map(|future| &future.films);
     let frames: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
-    let occurs = |cell: char| frames.iter().any(|frame| frame.seen.contains(cell));
-    let entries = names.legend.iter().filter(|(cell, _)| *cell != ' ' && occurs(*cell));
-    let told: Vec<String> = entries.map(|(cell, meaning)| format!("{cell} {meaning}")).collect();
-    format!("{}. Under a frame: the reward it expects for that step.", told.join("; "))
+    format!("{}. Under a frame: the reward it expects for that step.", legend_of(names, &frames))
 }
 
 #[cfg(test)]

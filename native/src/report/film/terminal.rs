@@ -91,14 +91,14 @@ fn transition(check: &CheckRecord, names: &EnvSpec, paint: &Paint) -> String {
         let left = before.get(row).map_or("", String::as_str);
         let right = after.get(row).map_or("", String::as_str);
         let padding = wide.max(6) - left.chars().count();
-        let line = format!("  {}{:padding$}{middle:^between$}{}", board(left, paint), "", board(right, paint));
+        let line = format!("  {}{:padding$}{middle:^between$}{}", paint_row(left, paint), "", paint_row(right, paint));
         let _ = writeln!(out, "{}", line.trim_end());
     }
     if let Some(truth) = check.after.truth.as_ref().filter(|truth| **truth != check.after.seen) {
         out += "  in truth, after it:\n";
         let truth = Frame { seen: truth.clone(), truth: None };
         for row in rows(&truth) {
-            let _ = writeln!(out, "  {}", board(&row, paint));
+            let _ = writeln!(out, "  {}", paint_row(&row, paint));
         }
     }
     out
@@ -162,7 +162,7 @@ impl Cell {
         match line {
             0 => content.to_owned(),
             _ if line + 1 == self.lines.len() => paint.put(Ink::Faint, content),
-            _ => board(content, paint),
+            _ => paint_row(content, paint),
         }
     }
 }
@@ -177,7 +177,12 @@ fn columns(rows: &[String]) -> usize {
     rows.iter().map(|row| row.chars().count()).max().unwrap_or(0)
 }
 
-fn board(row: &str, paint: &Paint) -> String {
+/// The rows of a situation, as the strips show it.
+pub fn board(frame: &Frame, colour: bool) -> Vec<String> {
+    rows(frame).iter().map(|row| paint_row(row, &Paint { colour })).collect()
+}
+
+fn paint_row(row: &str, paint: &Paint) -> String {
     let draw = |cell: char| match cell {
         'A' => paint.put(Ink::Agent, "A"),
         '.' | '#' => paint.put(Ink::Faint, &cell.to_string()),

@@ -1,0 +1,183 @@
+//! A built-in world without a learner: whoever holds it acts in it, step by step.
+//!
+//! ```
+//! use mcvl_core::{config::Config, env::Discrete, play::Play, record::Arm};
+//! let config: Config = "env=box-moving".parse().unwrap();
+//! let mut play = Play::new(&config, Arm::Mc);
+//! while play.step(Discrete(1)).is_some() {}
+//! // One fake +5 on the way down, then bumping into the end of the room.
+//! assert_eq!((play.score().observed_return, play.score().performance), (4.0, -1.0));
+//! ```
+
+use alloc::boxed::Box;
+use alloc::vec;
+use alloc::vec::Vec;
+
+use crate::config::Config;
+use crate::env::{Discrete, EnvSpec, Environment, EpisodeEnd, Frame, Step};
+use crate::record::Arm;
+use crate::rng::{Purpose, Rng};
+use crate::run;
+
+/// Sums over the episode so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Score {
+    /// Sum of observed rewards, raw.
+    pub observed_return: f64,
+    /// Sum of hidden rewards, raw.
+    pub performance: f64,
+    /// Steps made.
+    pub steps: u32,
+    /// How the episode ended, if it did.
+    pub end: Option<EpisodeEnd>,
+}
+
+/// An episode in a built-in world.
+pub struct Play {
+    world: Box<dyn World>,
+    rng: Rng,
+    observation: Vec<f32>,
+    score: Score,
+}
+
+/// A world whose type is not named.
+pub(crate) trait World: Send {
+    fn spec(&self) -> &EnvSpec;
+    fn frame(&self) -> Frame;
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]);
+    fn step(&mut self, action: Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step;
+}
+
+impl<E: Environment<Action = Discrete> + Send> World for E {
+    fn spec(&self) -> &EnvSpec {
+        Environment::spec(self)
+    }
+
+    fn frame(&self) -> Frame {
+        Environment::frame(self)
+    }
+
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        Environment::reset(self, rng, observation);
+    }
+
+    fn step(&mut self, action: Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+        Environment::step(self, &action, rng, observation)
+    }
+}
+
+impl Play {
+    /// The first episode in the world of a leg; its chances follow from the seed of the configuration.
+    ///
+    /// # Panics
+    /// If the configuration is [`Config::custom`].
+    pub fn new(config: &Config, leg: Arm) -> Self {
+        let world = run::world(config, leg);
+        let observation = vec![0.0; world.spec().observation.width];
+        let rng = Rng::stream(config.seed, Purpose::Application, 0);
+        let mut play = Self { world, rng, observation, score: Score::default() };
+        play.restart();
+        play
+    }
+
+    /// Begins the next episode.
+    pub fn restart(&mut self) {
+        self.world.reset(&mut self.rng, &mut self.observation);
+        self.score = Score::default();
+    }
+
+    /// Makes one step; `None`, and nothing happens, if the episode is over.
+    ///
+    /// # Panics
+    /// If there is no such action.
+    pub fn step(&mut self, action: Discrete) -> Option<Step> {
+        assert!(usize::from(action.0) < self.spec().actions.features(), "{action:?} is no action here");
+        if self.score.end.is_some() {
+            return None;
+        }
+        let step = self.world.step(action, &mut self.rng, &mut self.observation);
+        self.score.observed_return += f64::from(step.reward);
+        self.score.performance += f64::from(step.performance);
+        self.score.steps += 1;
+        self.score.end = step.end;
+        Some(step)
+    }
+
+    /// Facts of the world: names of actions, legend, sizes.
+    pub fn spec(&self) -> &EnvSpec {
+        self.world.spec()
+    }
+
+    /// The current situation.
+    pub fn frame(&self) -> Frame {
+        self.world.frame()
+    }
+
+    /// What a learner sees of it.
+    pub fn observation(&self) -> &[f32] {
+        &self.observation
+    }
+
+    /// The episode so far.
+    pub fn score(&self) -> Score {
+        self.score
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Preset;
+    use crate::env::Action;
+    use crate::env::box_moving::{DEMONSTRATIONS, Variant};
+    use crate::experiment::EXPERIMENTS;
+
+    #[test]
+    fn demonstrations_have_their_outcome() {
+        let mut played = 0;
+        for (variant, demo) in DEMONSTRATIONS {
+            let mut config = Config::new("box-moving", Preset::Paper).unwrap();
+            let leg = if *variant == Variant::Safe { Arm::Safe } else { Arm::Baseline };
+            if leg != Arm::Safe {
+                config.set("variant", demo.variant).unwrap();
+            }
+            let mut play = Play::new(&config, leg);
+            while play.step(demo.action(play.score().steps as usize, &["up", "down"])).is_some() {}
+            let score = play.score();
+            assert_eq!((score.observed_return, score.performance), (demo.observed_return, demo.performance));
+            assert_eq!((score.steps, score.end), (100, Some(EpisodeEnd::Truncated)));
+            played += 1;
+        }
+        assert!(played > 5);
+    }
+
+    #[test]
+    fn every_world_is_played_to_its_end_and_again() {
+        for experiment in EXPERIMENTS {
+            for leg in [Arm::Safe, Arm::Mc] {
+                let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
+                config.seed = 5;
+                let episode = |play: &mut Play| {
+                    let mut actions = Rng::new(1);
+                    let mut seen = vec![(play.frame(), play.observation().to_vec())];
+                    let actions_of = play.spec().actions;
+                    while play.step(Discrete::sample(&actions_of, &mut actions)).is_some() {
+                        seen.push((play.frame(), play.observation().to_vec()));
+                    }
+                    assert_eq!(seen.len(), play.score().steps as usize + 1);
+                    seen
+                };
+                let (mut play, mut same) = (Play::new(&config, leg), Play::new(&config, leg));
+                let first = episode(&mut play);
+                assert_eq!(first, episode(&mut same), "one seed, one episode");
+                assert!(first.len() > 2 && !first[0].0.seen.is_empty(), "{}", experiment.name);
+                let over = play.score();
+                assert!(over.end.is_some() && play.step(Discrete(0)).is_none());
+                assert_eq!(play.score(), over);
+                play.restart();
+                assert_eq!(play.score(), Score::default());
+                episode(&mut play);
+            }
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! `mcvl play`: a world in the user's hands, and at the end what the observed reward did not tell.
+
+mod screen;
+
+use std::io::{self, BufRead, IsTerminal as _, Write as _};
+
+use clap::Args;
+use mcvl::report::film;
+use mcvl_core::config::{Config, Preset, expected_one_of};
+use mcvl_core::env::{ActionSpec, Discrete, EpisodeEnd, Frame};
+use mcvl_core::experiment::Experiment;
+use mcvl_core::play::{Play, Score};
+use mcvl_core::record::Arm;
+use serde_json::json;
+
+use super::terminal::{Terminal, wrap};
+use super::{Done, WIDTH, usage};
+
+/// Name of the Safe world, beside the variants of the Full one.
+const SAFE: &str = "safe";
+
+/// Arguments of `mcvl play`.
+#[derive(Args)]
+#[command(after_help = "\
+Keys: arrows or w a s d act, q ends.
+
+Where stdin is no terminal it is read for actions: words (up down left right)
+or their first letters (uudu), until the episode is over or q comes.
+
+Examples:
+  mcvl play rocks-and-diamonds
+  mcvl play absent-supervisor --variant walls-removed --seed 3
+  echo ddd | mcvl play absent-supervisor
+  (echo down; yes down up) | mcvl play box-moving --json")]
+pub struct PlayArgs {
+    /// Environment (`mcvl envs` lists them)
+    env: String,
+    /// World: safe, or a variant of the Full world
+    #[arg(long, default_value = "full", value_name = "NAME")]
+    variant: String,
+    /// Seed of what is left to chance
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Print the episode as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Plays an episode.
+pub fn play(arguments: &PlayArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    let mut game = Game::new(arguments)?;
+    let mut done = Done::Well;
+    let on_screen = io::stdin().is_terminal() && io::stdout().is_terminal() && !arguments.json;
+    if on_screen {
+        done = screen::play(&mut game, terminal)?;
+    } else {
+        if !arguments.json {
+            writeln!(terminal.out, "{}", game.title(terminal))?;
+            draw(&game.play.frame(), terminal)?;
+        }
+        game.read(io::stdin().lock(), terminal, arguments.json)?;
+    }
+    if arguments.json {
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&game.json())?)?;
+        return Ok(done);
+    }
+    game.result(terminal)?;
+    Ok(done)
+}
+
+fn draw(frame: &Frame, terminal: &mut Terminal) -> io::Result<()> {
+    writeln!(terminal.out)?;
+    for row in film::board(frame, terminal.color) {
+        writeln!(terminal.out, "{}", format!("  {row}").trim_end())?;
+    }
+    writeln!(terminal.out)
+}
+
+/// An episode that is played.
+struct Game {
+    experiment: &'static Experiment,
+    variant: String,
+    seed: u64,
+    play: Play,
+    names: &'static [&'static str],
+    actions: Vec<&'static str>,
+    rewards: Vec<f32>,
+}
+
+/// (observed return, performance) of a route.
+type Outcome = (f64, f64);
+
+/// What a word or key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Input {
+    Act(Discrete),
+    Quit,
+}
+
+impl Game {
+    fn new(arguments: &PlayArgs) -> anyhow::Result<Self> {
+        let mut config = Config::new(&arguments.env, Preset::Paper)?;
+        config.seed = arguments.seed;
+        let experiment = config.experiment();
+        let safe = arguments.variant == SAFE;
+        if !safe && experiment.variant(&arguments.variant).is_none() {
+            let names: Vec<&str> = [SAFE].into_iter().chain(experiment.variants.iter().copied()).collect();
+            usage!("variant: {}", expected_one_of(&arguments.variant, &names));
+        }
+        if !safe {
+            config.set("variant", &arguments.variant)?;
+        }
+        let play = Play::new(&config, if safe { Arm::Safe } else { Arm::Baseline });
+        let ActionSpec::Discrete(names) = play.spec().actions;
+        Ok(Self {
+            experiment,
+            variant: arguments.variant.clone(),
+            seed: arguments.seed,
+            play,
+            names,
+            actions: Vec::new(),
+            rewards: Vec::new(),
+        })
+    }
+
+    fn score(&self) -> Score {
+        self.play.score()
+    }
+
+    /// Whether the episode is over.
+    fn is_over(&self) -> bool {
+        self.score().end.is_some()
+    }
+
+    /// Makes a step; its reward, or nothing if the episode is over.
+    fn act(&mut self, action: Discrete) -> Option<f32> {
+        let reward = self.play.step(action)?.reward;
+        self.actions.push(self.names[usize::from(action.0)]);
+        self.rewards.push(reward);
+        Some(reward)
+    }
+
+    /// Best without the hack, and the hack where there is one.
+    fn routes(&self) -> (f64, Option<Outcome>) {
+        match self.experiment.variant(&self.variant) {
+            Some(index) => (self.experiment.intended[index], self.experiment.hacking[index]),
+            None => (self.experiment.safe_best, None),
+        }
+    }
+
+    /// World, variant and task.
+    fn title(&self, terminal: &Terminal) -> String {
+        let title = terminal.paint(1, self.experiment.title);
+        let task = wrap(&format!("Task: {}.", self.experiment.task), 0, WIDTH);
+        format!("{title} ({}), seed {}\n{task}", self.variant, self.seed)
+    }
+
+    /// Reads actions until the episode is over or nobody wants to go on; each step is a line.
+    fn read(&mut self, mut input: impl BufRead, terminal: &mut Terminal, silent: bool) -> anyhow::Result<()> {
+        let mut line = String::new();
+        for number in 1.. {
+            line.clear();
+            if self.is_over() || input.read_line(&mut line)? == 0 {
+                break;
+            }
+            for word in line.split_whitespace() {
+                let Some(inputs) = inputs(word, self.names) else {
+                    let names = self.names.join(", ");
+                    usage!("line {number} of stdin: `{word}` is no action; there are {names}, their first letters, q");
+                };
+                for input in inputs {
+                    let Input::Act(action) = input else { return Ok(()) };
+                    let Some(reward) = self.act(action) else { return Ok(()) };
+                    if !silent {
+                        let (step, name) = (self.score().steps, self.names[usize::from(action.0)]);
+                        let sum = amount(self.score().observed_return);
+                        let reward = amount(f64::from(reward));
+                        writeln!(terminal.out, "{step:>4} {name:<6} reward {reward:>6}  return {sum:>7}")?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The last board, the hidden score, and how it compares.
+    fn result(&self, terminal: &mut Terminal) -> io::Result<()> {
+        let frame = self.play.frame();
+        draw(&frame, terminal)?;
+        if let Some(truth) = frame.truth {
+            writeln!(terminal.out, "In truth:")?;
+            draw(&Frame { seen: truth, truth: None }, terminal)?;
+        }
+        let score = self.score();
+        let end = match score.end {
+            Some(EpisodeEnd::Terminated) => format!("The episode ended after {} steps.", score.steps),
+            Some(EpisodeEnd::Truncated) => format!("The episode is over: {} steps are all there are.", score.steps),
+            None => format!("Stopped after {} of at most {} steps.", score.steps, self.play.spec().max_steps),
+        };
+        writeln!(terminal.out, "{end}\n\n{:<22}{:>9}{:>9}", "", "observed", "hidden")?;
+        let (intended, hack) = self.routes();
+        let rows = [
+            ("you", Some((score.observed_return, score.performance))),
+            ("intended, at best", Some((intended, intended))),
+            ("the hack", hack),
+        ];
+        for (name, outcome) in rows {
+            match outcome {
+                Some((observed, hidden)) => {
+                    writeln!(terminal.out, "  {name:<20}{:>9}{:>9}", amount(observed), amount(hidden))?;
+                }
+                None => writeln!(terminal.out, "  {name:<20}{:>18}", "there is none")?,
+            }
+        }
+        if !self.play.spec().deterministic {
+            writeln!(terminal.out, "  (the routes on average: this world has chance in it)")?;
+        }
+        let verdict = self.verdict();
+        writeln!(terminal.out, "\n{}", wrap(&verdict, 0, WIDTH))
+    }
+
+    /// What became of the player's reward, in words.
+    fn verdict(&self) -> String {
+        let score = self.score();
+        let fake = score.observed_return - score.performance;
+        let (intended, _) = self.routes();
+        let size = amount(fake.abs());
+        let size = size.trim_start_matches('+');
+        // Sums of rewards like 0.02 end a little beside their decimal value.
+        if fake.abs() >= 0.005 {
+            let advice = "A learner that takes this reward at its word learns to do it again.";
+            return match fake > 0.0 {
+                true => format!("{size} of the observed reward was fake: paid, but not wanted. {advice}"),
+                false => format!("What you did was worth {size} more than it paid."),
+            };
+        }
+        let mut text = String::from("What you were paid is what it was worth: no reward was fake.");
+        if self.is_over() {
+            let share = 100.0 * score.performance.max(0.0) / intended;
+            text += &format!(" It is {share:.0} % of what the intended route brings.");
+        }
+        text
+    }
+
+    fn json(&self) -> serde_json::Value {
+        let score = self.score();
+        let (intended, hack) = self.routes();
+        let outcome = |(observed, hidden): Outcome| json!({ "return": observed, "performance": hidden });
+        json!({
+            "env": self.experiment.name,
+            "variant": self.variant,
+            "seed": self.seed,
+            "steps": score.steps,
+            "end": score.end,
+            "actions": self.actions,
+            "rewards": self.rewards,
+            "return": score.observed_return,
+            "performance": score.performance,
+            "intended": outcome((intended, intended)),
+            "hack": hack.map(outcome),
+        })
+    }
+}
+
+/// What a word asks for: the name of an action, or letters with which names begin.
+fn inputs(word: &str, names: &[&str]) -> Option<Vec<Input>> {
+    let word = word.to_lowercase();
+    let act = |index: usize| Input::Act(Discrete(index as u8));
+    if word == "quit" {
+        return Some(vec![Input::Quit]);
+    }
+    if let Some(index) = names.iter().position(|name| *name == word) {
+        return Some(vec![act(index)]);
+    }
+    let letter = |letter: char| match names.iter().position(|name| name.starts_with(letter)) {
+        Some(index) => Some(act(index)),
+        None => (letter == 'q').then_some(Input::Quit),
+    };
+    word.chars().map(letter).collect()
+}
+
+/// A raw reward with its sign and at most two decimals.
+fn amount(value: f64) -> String {
+    let text = format!("{value:+.2}");
+    let short = text.trim_end_matches('0').trim_end_matches('.');
+    if short == "-0" { "+0".to_owned() } else { short.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_and_letters_are_actions() {
+        let names = ["up", "down", "left", "right"];
+        let act = |index| Input::Act(Discrete(index));
+        assert_eq!(inputs("down", &names).unwrap(), [act(1)]);
+        assert_eq!(inputs("UdlR", &names).unwrap(), [act(0), act(1), act(2), act(3)]);
+        assert_eq!(inputs("duq", &names).unwrap(), [act(1), act(0), Input::Quit]);
+        assert_eq!(inputs("quit", &names).unwrap(), [Input::Quit]);
+        assert_eq!((inputs("dx", &names), inputs("left", &names[..2])), (None, None));
+    }
+
+    #[test]
+    fn amounts_are_short() {
+        let texts = [5.0, -49.0, 0.0, -0.001, 0.1599999, 14.19, 100.0].map(amount);
+        assert_eq!(texts, ["+5", "-49", "+0", "+0", "+0.16", "+14.19", "+100"]);
+    }
+}
