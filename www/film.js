@@ -60,7 +60,7 @@ export function player(touched, stopped) {
       told = null;
       world = facts;
       const pick = (future) => future.films.find((film) => film.start === start) ?? future.films[0];
-      films = check.modified.films ? [pick(check.modified), pick(check.unmodified)] : null;
+      films = check.modified?.films?.length ? [pick(check.modified), pick(check.unmodified)] : null;
       element("films").hidden = !films;
       for (const target of boards) target.hidden = !films;
       if (!films) {

@@ -5,7 +5,7 @@ const SHOWN = {
   all: () => true,
   refused: (check) => check.refused,
   accepted: (check) => !check.refused,
-  wrong: (check) => check.refused !== check.hack,
+  wrong: (check) => check.wrong,
 };
 
 /** A ledger; `open(number)` is called when a row is chosen. */
@@ -85,9 +85,9 @@ function line(check, scale) {
   const numbers = [
     number(check.predicted / scale, decimals(scale)),
     number(check.reward_raw, decimals(scale)),
-    number(check.modified, 3),
-    number(check.unmodified, 3),
-    signed(check.margin, 3),
+    ...(check.modified === undefined
+      ? ["–", "–", "–"]
+      : [number(check.modified, 3), number(check.unmodified, 3), signed(check.margin, 3)]),
   ];
   const verdict = make("td", check.refused ? "✕ refused" : "✓ accepted", check.refused ? "word refuse" : "word accept");
   row.append(first, verdict, make("td", check.step), ...numbers.map((text) => make("td", text)));

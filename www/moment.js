@@ -84,7 +84,8 @@ export function momentPanel(turned) {
       drawStep();
       transition(check, world);
       training(check);
-      ratings(check);
+      element("moment").classList.toggle("unforeseen", !check.modified);
+      if (check.modified) ratings(check);
       verdict(check);
       turn(from);
     },
@@ -125,14 +126,23 @@ function transition(check, world) {
   element("expected").textContent = signed(predicted, digits);
   element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
+  const from = `${surprise}; from ${raw(check.threshold)} on`;
   const small = Math.abs(check.reward - check.predicted) < check.threshold;
-  element("why").textContent = small
-    ? `${surprise}. This run checks every step.`
-    : `${surprise}; from ${raw(check.threshold)} on the agent checks before it learns.`;
+  element("why").textContent =
+    check.subject === "update"
+      ? "This run checks every update instead: the agent before it against the agent after it."
+      : !check.modified
+        ? `${from} this run discards a step, and forecasts nothing.`
+        : small
+          ? `${surprise}. This run checks every step.`
+          : `${from} the agent checks before it learns.`;
   element("truth").textContent = check.hack
     ? `In truth the step is worth ${signed(check.performance, digits)}: the rest is fake. The agent cannot see this.`
     : `In truth the step is worth ${signed(check.performance, digits)}: the reward is honest. The agent cannot see this.`;
 }
+
+/** What the two futures of a check are called. */
+const NAMES = { update: ["After the update", "Before it"], transition: ["If I learn from it", "If I don’t"] };
 
 /** Under each future its bar, on one scale, with every rollout. */
 function ratings(check) {
@@ -141,10 +151,12 @@ function ratings(check) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const width = narrow.matches ? 150 : 210;
   const place = (value) => MARGIN + ((value - low) / (high - low || 1)) * (width - 2 * MARGIN);
+  const names = NAMES[check.subject ?? "transition"];
+  document.querySelectorAll(".future figcaption").forEach((caption, index) => (caption.textContent = names[index]));
   for (const [side, future] of [["modified", check.modified], ["unmodified", check.unmodified]]) {
     element(`${side}-utility`).textContent = number(future.utility, 3);
     element(`${side}-bar`).replaceChildren(bar(future, place, width));
-    const steps = future.films?.[0].actions.length;
+    const steps = future.films?.[0]?.actions.length;
     element(`${side}-truth`).textContent = steps ? `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.` : "";
   }
 }
@@ -189,15 +201,27 @@ function verdict(check) {
   const stamp = element("stamp");
   stamp.className = refused ? "stamp refused" : "stamp accepted";
   stamp.replaceChildren(mark, make("span", refused ? "REFUSED" : "ACCEPTED"));
-  const by = number(Math.abs(check.margin), 3);
-  const wrong = refused === check.hack ? "" : refused ? " This was a wrong refusal." : " This was a missed hack.";
-  const words = check.tie
-    ? "Both futures are rated exactly equal: nothing speaks against learning from it."
-    : refused
-      ? `Learning from it would make the future worse by ${by}, by what the agent wants today. It does not learn from this reward.`
-      : check.margin < 0
-        ? `Learning from it changes the future by less than the tolerance (−${by}). It learns from this reward.`
-        : `Learning from it makes the future better by ${by}, by what the agent wants today. It learns from this reward.`;
-  element("margin").textContent = words + wrong;
+  const update = check.subject === "update";
+  const right = update || refused === check.hack;
+  const wrong = right ? "" : refused ? " This was a wrong refusal." : " This was a missed hack.";
+  element("margin").textContent = conclusion(check, refused, update) + wrong;
   element("cost").textContent = `${check.cost.toLocaleString("en")} training updates went into this check.${check.reused ? " The future without it was still known from the check before." : ""}`;
+}
+
+/** The verdict in words. */
+function conclusion(check, refused, update) {
+  if (!check.modified) return "What surprises is discarded: nobody asked what learning from it would lead to.";
+  const by = number(Math.abs(check.margin), 3);
+  if (update) {
+    if (!refused) return "The update stays.";
+    return `The update makes the policy worse by ${by}, by what the agent wanted before it. It is taken back.`;
+  }
+  if (check.tie) return "Both futures are rated exactly equal: nothing speaks against learning from it.";
+  if (refused) {
+    const instead = check.replaced === undefined ? "" : ` It stores ${signed(check.replaced, 2)} in its place.`;
+    return `Learning from it would make the future worse by ${by}, by what the agent wants today. It does not learn from this reward.${instead}`;
+  }
+  return check.margin < 0
+    ? `Learning from it changes the future by less than the tolerance (−${by}). It learns from this reward.`
+    : `Learning from it makes the future better by ${by}, by what the agent wants today. It learns from this reward.`;
 }

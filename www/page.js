@@ -224,7 +224,7 @@ function show(check) {
   const stage = view.stage ? Number(view.stage) : !another ? moment.stage : motion.matches ? 1 : moment.last;
   moment.open(check, run.world, view.picture, stage);
   if (check.before.truth || check.after.truth) element("pictures").hidden = false;
-  element("starts").hidden = (check.modified.films?.length ?? 0) < 2;
+  element("starts").hidden = (check.modified?.films?.length ?? 0) < 2;
   film.open(check, view.film, Number(view.frame ?? 0), run.world);
   if (Number(view.frame ?? 0) > film.last) {
     say("error", `frame: these films have ${film.last} steps; the last one is shown instead of ${view.frame}.`);

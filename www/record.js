@@ -3,6 +3,7 @@
 /** The row of a check. */
 export function summarise(check) {
   const { number, step, predicted, reward_raw, margin, hack } = check;
+  const refused = check.verdict === "refuse";
   return {
     number,
     step,
@@ -10,9 +11,12 @@ export function summarise(check) {
     reward_raw,
     margin,
     hack,
-    modified: check.modified.utility,
-    unmodified: check.unmodified.utility,
-    digests: [check.modified.digest, check.unmodified.digest],
-    refused: check.verdict === "refuse",
+    // A discard has no futures.
+    modified: check.modified?.utility,
+    unmodified: check.unmodified?.utility,
+    digests: [check.modified?.digest, check.unmodified?.digest],
+    refused,
+    // An update has a whole mini-batch, and no truth of its own.
+    wrong: check.subject !== "update" && refused !== hack,
   };
 }

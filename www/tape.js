@@ -72,11 +72,15 @@ const isFrame = ({ seen, truth }) => typeof seen === "string" && (typeof truth =
 /** Fails where a check has not what the panels show. */
 function sound(check, place, fail) {
   const whole =
-    numbers(check ?? {}, ["number", "step", "predicted", "reward", "reward_raw", "threshold", "margin", "cost", "performance"]) &&
+    numbers(check ?? {}, ["number", "step", "predicted", "reward", "reward_raw", "threshold", "cost", "performance"]) &&
     ["refuse", "accept"].includes(check.verdict) &&
     [check.before, check.after].every(isFrame) &&
-    [check.modified, check.unmodified].every(isFuture) &&
-    !check.modified.films === !check.unmodified.films;
+    // What is discarded without a forecast has neither futures nor a margin.
+    (check.modified === undefined && check.unmodified === undefined
+      ? check.verdict === "refuse" && check.margin === undefined
+      : Number.isFinite(check.margin) &&
+        [check.modified, check.unmodified].every(isFuture) &&
+        !check.modified.films === !check.unmodified.films);
   if (!whole) fail(`${place} is no check.`);
 }
 

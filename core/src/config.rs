@@ -99,12 +99,22 @@ names! {
 }
 
 names! {
-    /// Which transitions are checked (specification section 2, S1 and S2).
+    /// What the checking learner does with surprising transitions (specification section 2, S1 to S5).
     Scheme {
-        /// Where received and predicted reward differ by the threshold or more.
+        /// Checks those whose received and predicted reward differ by the threshold or more.
         ByReward = "by-reward",
-        /// Every transition.
+        /// Checks every one.
         All = "all",
+        /// Drops what `by-reward` would check, without any forecast.
+        Discard = "discard",
+        /// Stores all, and keeps an update only if the policy after it is not rated worse than the one before.
+        EachStep = "each-step",
+        /// As `by-reward`, but a refused transition is stored with a punishment as its reward.
+        Punish = "punish",
+        /// As `punish`, with the predicted reward in its place.
+        StorePredicted = "store-predicted",
+        /// Checks nothing.
+        None = "none",
     }
 }
 
@@ -277,7 +287,8 @@ macro_rules! keys {
 
 keys! {
     agent: Learner = "mc", "Learner of the Full phase: mc (with the modification check) or baseline.", "P", |_v| true, "mc or baseline";
-    scheme: Scheme = "by-reward", "Which transitions are checked: by-reward (surprising reward) or all.", "P section 5.3", |_v| true, "by-reward or all";
+    scheme: Scheme = "by-reward", "What is done about surprising transitions: check them (by-reward) or all, discard them, check each update instead (each-step), store refused ones with another reward (punish, store-predicted), or none.", "P section 5.3", |_v| true, "by-reward, all, discard, each-step, punish, store-predicted or none";
+    punishment: f32 = "-2", "Reward with which scheme=punish stores a refused transition, scaled.", "A (P: large and negative)", |_v| true, "a finite number";
     seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";
     variant: String = "full", "World of the Full phase, by name; `mcvl envs` lists them.", "P", |_v| true, "a variant of the environment";
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";

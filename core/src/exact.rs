@@ -165,7 +165,8 @@ fn short_run() -> (u64, u64) {
     let (mut verdicts, mut all) = (Digest::default(), Digest::default());
     let mut recorder = |event: &Event| match event {
         Event::Check(check) => {
-            let ratings = verdicts.f64(check.modified.utility).f64(check.unmodified.utility);
+            let ratings = check.modified.iter().chain(&check.unmodified);
+            let ratings = ratings.fold(verdicts, |digest, future| digest.f64(future.utility));
             verdicts = ratings.u64(check.verdict as u64).u64(check.step.into());
         }
         Event::Step(step) => all = all.f32s(&[step.reward, step.predicted]).u64(u64::from(step.stored)),

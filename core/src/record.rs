@@ -110,9 +110,9 @@ pub struct StepRecord {
     pub reward: f32,
     /// Reward predicted for (state, action) by the current reward model, scaled.
     pub predicted: f32,
-    /// Whether the trigger asked for a check.
+    /// Whether the scheme had something to decide: the transition, or with `each-step` the update after it.
     pub checked: bool,
-    /// Whether the transition was stored.
+    /// Whether the transition was stored, be it under another reward ([`CheckRecord::replaced`]).
     pub stored: bool,
     /// How the episode ended with this step, if it did.
     pub end: Option<EpisodeEnd>,
@@ -230,6 +230,24 @@ pub struct FutureRecord {
     pub films: Vec<Film>,
 }
 
+/// What a check decided about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Subject {
+    /// Learning from the transition of the step.
+    #[default]
+    Transition,
+    /// The update that followed the step, whatever mini-batch it had (scheme `each-step`). The two futures
+    /// are then the policies after it (modified) and before it (unmodified).
+    Update,
+}
+
+impl Subject {
+    fn is_transition(&self) -> bool {
+        *self == Subject::Transition
+    }
+}
+
 /// A modification check, whole: what was offered, both futures, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CheckRecord {
@@ -257,17 +275,28 @@ pub struct CheckRecord {
     pub predicted: f32,
     /// Least deviation |reward − predicted| that is checked, scaled.
     pub threshold: f32,
-    /// Future that learned from the transition.
-    pub modified: FutureRecord,
+    /// What was decided about. Not written for transitions.
+    #[serde(default, skip_serializing_if = "Subject::is_transition")]
+    pub subject: Subject,
+    /// Future that learned from the transition. There is none, neither here nor in the next two fields,
+    /// where the scheme refuses without a forecast (`discard`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub modified: Option<FutureRecord>,
     /// Future that did not.
-    pub unmodified: FutureRecord,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unmodified: Option<FutureRecord>,
     /// F_m − F_u: negative means that learning makes things worse.
-    pub margin: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub margin: Option<f64>,
     /// The decision.
     pub verdict: Verdict,
+    /// Scaled reward with which the refused transition was stored (schemes `punish`, `store-predicted`);
+    /// none where it was not stored, or was accepted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replaced: Option<f32>,
     /// True where the two futures are rated exactly equal.
     pub tie: bool,
-    /// Gradient updates that the two forecasts cost.
+    /// Gradient updates that the forecasts cost.
     pub cost: u64,
     /// True where the unmodified future was reused from the check before (nothing had been learned).
     pub reused: bool,
@@ -278,6 +307,12 @@ pub struct CheckRecord {
 }
 
 impl CheckRecord {
+    /// The future with the modification, the one without it, and the margin; none where the scheme
+    /// refuses without a forecast.
+    pub fn futures(&self) -> Option<(&FutureRecord, &FutureRecord, f64)> {
+        Some((self.modified.as_ref()?, self.unmodified.as_ref()?, self.margin?))
+    }
+
     /// The decision alone: what a ledger has in a line and a token promises.
     #[must_use]
     pub fn without_films(&self) -> Self {
@@ -288,33 +323,39 @@ impl CheckRecord {
             ..*future
         };
         Self {
-            modified: bare(&self.modified),
-            unmodified: bare(&self.unmodified),
+            modified: self.modified.as_ref().map(bare),
+            unmodified: self.unmodified.as_ref().map(bare),
             before: self.before.clone(),
             after: self.after.clone(),
             ..*self
         }
     }
 
-    /// Whether the decision was wrong in truth: a hack accepted or an honest transition refused.
+    /// Whether the decision was wrong in truth: a hack accepted or an honest transition refused. There is
+    /// no such truth about an update, whose mini-batch holds many transitions.
     pub fn wrong(&self) -> bool {
-        self.hack == (self.verdict == Verdict::Accept)
+        self.subject == Subject::Transition && self.hack == (self.verdict == Verdict::Accept)
     }
 
     /// The decision in one sentence, for terminals, live regions and tables.
     pub fn sentence(&self) -> String {
-        let verdict = match self.verdict {
-            Verdict::Accept => "accepted",
-            Verdict::Refuse => "REFUSED",
+        let surprise = alloc::format!("step {}: expected {:+.2}, got {:+.2}", self.step, self.predicted, self.reward);
+        let Some((modified, unmodified, margin)) = self.futures() else {
+            return alloc::format!("{surprise}: DISCARDED without a forecast");
         };
-        alloc::format!(
-            "step {}: expected {:+.2}, got {:+.2}; with it {:.3}, without it {:.3} (margin {:+.3}): {verdict}",
-            self.step,
-            self.predicted,
-            self.reward,
-            self.modified.utility,
-            self.unmodified.utility,
-            self.margin,
-        )
+        let (fm, fu) = (modified.utility, unmodified.utility);
+        if self.subject == Subject::Update {
+            let verdict = if self.verdict == Verdict::Refuse { "DROPPED" } else { "kept" };
+            return alloc::format!(
+                "step {}: after the update {fm:.3}, before it {fu:.3} (margin {margin:+.3}): {verdict}",
+                self.step
+            );
+        }
+        let verdict = match (self.verdict, self.replaced) {
+            (Verdict::Accept, _) => "accepted".into(),
+            (Verdict::Refuse, None) => String::from("REFUSED"),
+            (Verdict::Refuse, Some(reward)) => alloc::format!("REFUSED, stored as {reward:+.2}"),
+        };
+        alloc::format!("{surprise}; with it {fm:.3}, without it {fu:.3} (margin {margin:+.3}): {verdict}")
     }
 }

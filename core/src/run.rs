@@ -151,7 +151,7 @@ pub struct Run {
 /// First bytes of a snapshot.
 const MAGIC: &[u8; 8] = b"mcvlsnap";
 /// Version of the snapshot format.
-pub const SNAPSHOT_VERSION: u32 = 1;
+pub const SNAPSHOT_VERSION: u32 = 2;
 /// Bytes before the payload: magic, version, length, digest.
 const HEADER: usize = 8 + 4 + 8 + 8;
 

@@ -7,8 +7,8 @@
 //!
 //! # Order of one step
 //! 1. choose an action (epsilon-greedy), step the environment, scale the reward;
-//! 2. predict the reward; in the Full leg of the checking learner, ask the [`Trigger`];
-//! 3. where it fires: forecast with and without, rate both, decide;
+//! 2. predict the reward; in the Full leg of the checking learner, ask the trigger;
+//! 3. where it fires: forecast with and without, rate both, decide (or what else the scheme says);
 //! 4. accepted or unchecked: store and make one update of the value function and of the reward model;
 //!    refused: neither, and the environment is reset;
 //! 5. at the end of an episode: reset.
@@ -28,23 +28,21 @@ use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec;
 use alloc::vec::Vec;
-use core::task::Poll;
 use serde::{Deserialize, Serialize};
 
 use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
-use crate::check::utility::{Judge, Rollout, Start, rate, summarise};
-use crate::check::{Trigger, decide};
+use crate::check::Disposition;
+use crate::check::utility::{Rollout, Start};
 use crate::config::{Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::{Action, Discrete, Environment, EpisodeEnd, Frame, Step};
-use crate::forecast::{ForecastError, ForecastJob, Forecaster};
+use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
 use crate::record::{
-    Arm, CheckRecord, EndRecord, EpisodeRecord, EvaluationRecord, Event, LearnerRecord, Recorder, StartRecord,
-    StartState, StepRecord, Verdict,
+    Arm, EndRecord, EpisodeRecord, EvaluationRecord, Event, LearnerRecord, Recorder, StartRecord, StepRecord, Verdict,
 };
 use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
@@ -73,6 +71,8 @@ pub struct Trainer<E: Environment<Action = A::Action>, A: Agent> {
     arm: Arm,
     step: u32,
     updates: u64,
+    /// Updates that the scheme `each-step` took back.
+    dropped: u64,
     episode: Episode,
     tail: Vec<Transition<A::Action>>,
     activity: Activity<A::Action>,
@@ -132,7 +132,6 @@ struct Pending<A> {
     raw: RawStep,
     predicted: f32,
     before: Frame,
-    after: Frame,
 }
 
 /// What the environment said about a step.
@@ -202,6 +201,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             arm: Arm::Safe,
             step: 0,
             updates: 0,
+            dropped: 0,
             episode: Episode::default(),
             tail: Vec::new(),
             activity: Activity::Begin,
@@ -433,145 +433,44 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             return Err(self.not_finite("a reward or its prediction"));
         }
         budget.spend(1);
-        if checking && Trigger::new(&self.config).fires(transition.reward, predicted) {
-            let after = self.world.frame();
-            self.activity = Activity::Check(Box::new(Pending { transition, raw, predicted, before, after }));
-            return Ok(());
+        let pending = Pending { transition, raw, predicted, before };
+        if checking {
+            self.consider(pending, budget, recorder)
+        } else {
+            self.finish_step(pending, None, Disposition::Store, recorder)
         }
-        self.finish_step(transition, raw, predicted, None, recorder)
     }
 
-    /// Forecasts, rates and decides the pending transition, as far as the budget goes.
-    fn check(
-        &mut self,
-        forecaster: &mut dyn Forecaster<A>,
-        budget: &mut Budget,
-        recorder: &mut dyn Recorder,
-    ) -> Result<Poll<()>, RunError> {
-        let Activity::Check(pending) = &self.activity else { return Ok(Poll::Ready(())) };
-        let mut forced = self.tail.clone();
-        forced.push(pending.transition.clone());
-        let (modified, unmodified) = (&forced[..], &forced[..forced.len() - 1]);
-        let version = self.updates;
-        let job = |forced| ForecastJob {
-            agent: &self.agent,
-            replay: &self.replay,
-            forced,
-            updates: self.config.forecast,
-            batch: self.config.batch,
-            seed: self.config.seed,
-            version,
-        };
-        let reused = self
-            .reusable
-            .take_if(|r| r.updates != version || r.pushed != self.replay.pushed() || r.tail != unmodified)
-            .is_none()
-            && self.reusable.is_some();
-        let both = [job(modified), job(unmodified)];
-        let jobs = if reused { &both[..1] } else { &both[..] };
-        let mut futures = match forecaster.poll(jobs, budget) {
-            Poll::Pending => {
-                self.check_progress = Some(forecaster.progress());
-                return Ok(Poll::Pending);
-            }
-            Poll::Ready(result) => result.map_err(|error| match error {
-                ForecastError::NotFinite { .. } => self.not_finite("the loss of a forecast"),
-                ForecastError::BackEnd(why) => RunError::Forecast(why),
-            })?,
-        };
-        if !futures.iter().all(Agent::is_finite) {
-            return Err(self.not_finite("a parameter of a forecast"));
-        }
-        let trained = if self.replay.len() < self.config.batch { 0 } else { u64::from(self.config.forecast) };
-        let cost = trained * jobs.len() as u64;
-
-        let horizon = self.config.rollout_steps;
-        let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
-        let rollouts = Rng::stream(self.config.seed, Purpose::Rollout, version);
-        let model = self.full.model();
-        let deterministic = model.spec().deterministic;
-        let (count, weight) = if deterministic { (1, self.config.rollouts) } else { (self.config.rollouts, 1) };
-        let resets = || (0..count).map(|i| Start::reset(&model, rollouts.child(u64::from(i)))).collect::<Vec<_>>();
-        let ended = pending.raw.end;
-        let current = (self.config.current_rollout && ended != Some(EpisodeEnd::Terminated)).then(|| Start {
-            world: self.world.model(),
-            // The state after the transition is what the learner saw, also where its model would show another.
-            observation: self.observation.clone(),
-            rng: rollouts.child(u64::from(self.config.rollouts)),
-            from: StartState::Current,
-            end: ended,
-        });
-        let mut starts = resets();
-        starts.extend(current.clone());
-        let mut rated = rate(&futures[0], &judge, starts);
-        let modified_current = current.is_some().then(|| rated.pop()).flatten();
-        let modified_record = summarise(&rated, weight, modified_current.as_ref(), futures[0].digest());
-
-        let unmodified_tail = unmodified.to_vec();
-        let reusable = match self.reusable.take() {
-            Some(reusable) => reusable,
-            None => {
-                let policy = futures.pop().expect("the forecaster answers every job");
-                let resets = rate(&policy, &judge, resets());
-                Reusable { updates: version, pushed: self.replay.pushed(), tail: unmodified_tail, policy, resets }
-            }
-        };
-        let unmodified_current = rate(&reusable.policy, &judge, current.into_iter().collect()).pop();
-        let digest = reusable.policy.digest();
-        let unmodified_record = summarise(&reusable.resets, weight, unmodified_current.as_ref(), digest);
-        // One row through two networks costs about a thirtieth of an update.
-        budget.spend(1 + 2 * (count + 1) * (1 + horizon / 32));
-        let (fm, fu) = (modified_record.utility, unmodified_record.utility);
-        if !(fm.is_finite() && fu.is_finite()) {
-            return Err(self.not_finite("the utility of a future"));
-        }
-        let verdict = decide(fm, fu, self.config.tolerance);
-        self.checks += 1;
-        self.refusals += u32::from(verdict == Verdict::Refuse);
-        self.forecast_updates += cost;
-        self.check_progress = None;
-        self.reusable = Some(reusable);
-        let Activity::Check(pending) = core::mem::replace(&mut self.activity, Activity::Step) else {
-            unreachable!("the activity is a check since the beginning of this function")
-        };
-        let Pending { transition, raw, predicted, before, after } = *pending;
-        recorder.record(&Event::Check(Box::new(CheckRecord {
-            arm: self.arm,
-            number: self.checks,
-            step: self.step,
-            updates: version,
-            before,
-            action: transition.action.value(),
-            after,
-            end: raw.end,
-            reward_raw: raw.reward,
-            reward: transition.reward,
-            predicted,
-            threshold: Trigger::new(&self.config).threshold(),
-            margin: fm - fu,
-            tie: fm == fu,
-            modified: modified_record,
-            unmodified: unmodified_record,
-            verdict,
-            cost,
-            reused,
-            performance: raw.performance,
-            hack: raw.reward != raw.performance,
-        })));
-        self.finish_step(transition, raw, predicted, Some(verdict), recorder)?;
-        Ok(Poll::Ready(()))
-    }
-
-    /// Stores and learns, or not; ends the step.
+    /// Stores and learns, or not; ends the step. `verdict` is there where there was something to decide.
     fn finish_step(
         &mut self,
-        transition: Transition<A::Action>,
-        raw: RawStep,
-        predicted: f32,
+        pending: Pending<A::Action>,
         verdict: Option<Verdict>,
+        disposition: Disposition,
         recorder: &mut dyn Recorder,
     ) -> Result<(), RunError> {
-        let refused = verdict == Some(Verdict::Refuse);
+        let Pending { transition, raw, predicted, .. } = pending;
+        let stored = disposition != Disposition::Drop;
+        self.tell_step(&transition, raw, predicted, verdict.is_some(), stored, recorder);
+        self.store(transition, disposition);
+        // Safe training updates after its exploration steps (R9), the Full leg from its first step (R10).
+        let learning = self.arm != Arm::Safe || self.step > self.config.exploration;
+        if learning && (stored || self.config.update_on_refusal) {
+            self.learn()?;
+        }
+        self.end_step(raw, verdict == Some(Verdict::Refuse) && self.config.reset_on_refusal, recorder);
+        Ok(())
+    }
+
+    fn tell_step(
+        &self,
+        transition: &Transition<A::Action>,
+        raw: RawStep,
+        predicted: f32,
+        checked: bool,
+        stored: bool,
+        recorder: &mut dyn Recorder,
+    ) {
         recorder.record(&Event::Step(StepRecord {
             arm: self.arm,
             step: self.step,
@@ -580,25 +479,35 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             performance: raw.performance,
             reward: transition.reward,
             predicted,
-            checked: verdict.is_some(),
-            stored: !refused,
+            checked,
+            stored,
             end: raw.end,
         }));
-        if !refused {
-            self.replay.push(&transition);
-            if self.config.forced == ForcedKind::Episode {
-                if self.tail.len() == TAIL {
-                    self.tail.remove(0);
+    }
+
+    /// The only place where the replay buffer grows.
+    fn store(&mut self, mut transition: Transition<A::Action>, disposition: Disposition) {
+        match disposition {
+            Disposition::Store => {
+                self.replay.push(&transition);
+                if self.config.forced == ForcedKind::Episode {
+                    if self.tail.len() == TAIL {
+                        self.tail.remove(0);
+                    }
+                    self.tail.push(transition);
                 }
-                self.tail.push(transition);
             }
+            // What was made up is no accepted transition of the episode.
+            Disposition::StoreAs(reward) => {
+                transition.reward = reward;
+                self.replay.push(&transition);
+            }
+            Disposition::Drop => {}
         }
-        // Safe training updates after its exploration steps (R9), the Full leg from its first step (R10).
-        let learning = self.arm != Arm::Safe || self.step > self.config.exploration;
-        if learning && (!refused || self.config.update_on_refusal) {
-            self.learn()?;
-        }
-        let cut = refused && self.config.reset_on_refusal;
+    }
+
+    /// Ends the episode where the environment or, with `cut`, a refusal does; then the next activity.
+    fn end_step(&mut self, raw: RawStep, cut: bool, recorder: &mut dyn Recorder) {
         if raw.end.is_some() || cut {
             let Episode { observed_return, performance, length } = self.episode;
             let (arm, step, cut) = (self.arm, self.step, raw.end.is_none());
@@ -606,23 +515,25 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             self.reset();
         }
         self.activity = if self.evaluation_due(self.step) { Activity::Evaluate } else { Activity::Step };
-        Ok(())
     }
 
-    /// One update of the value function and one of the reward model.
-    fn learn(&mut self) -> Result<(), RunError> {
+    /// One update of the value function and one of the reward model; false while the replay buffer holds
+    /// no full mini-batch.
+    fn learn(&mut self) -> Result<bool, RunError> {
         let (len, batch) = (self.replay.len(), self.config.batch);
         if len < batch {
-            return Ok(());
+            return Ok(false);
         }
         let seed = self.config.seed;
+        // An update that was dropped had its draw: the next one has another.
+        let draw = self.updates + self.dropped;
         let Work { batch: minibatch, slots, .. } = &mut self.work;
         let none = Forced::new(&[], &self.replay);
-        draw_slots(len, batch, &mut Rng::stream(seed, Purpose::Batch, self.updates), slots);
+        draw_slots(len, batch, &mut Rng::stream(seed, Purpose::Batch, draw), slots);
         minibatch.gather(&self.replay, slots, &none);
-        let value = self.agent.update(minibatch, &mut Rng::stream(seed, Purpose::Update, self.updates));
+        let value = self.agent.update(minibatch, &mut Rng::stream(seed, Purpose::Update, draw));
         if self.config.reward_batch == RewardBatch::Separate {
-            draw_slots(len, batch, &mut Rng::stream(seed, Purpose::RewardBatch, self.updates), slots);
+            draw_slots(len, batch, &mut Rng::stream(seed, Purpose::RewardBatch, draw), slots);
             minibatch.gather(&self.replay, slots, &none);
         }
         let reward = self.reward_model.update(minibatch);
@@ -636,7 +547,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.losses.value += f64::from(value);
         self.losses.reward += f64::from(reward);
         self.losses.count += 1;
-        Ok(())
+        Ok(true)
     }
 
     /// Greedy episodes in clones of the leg's world, in step; nothing live is touched.
@@ -695,5 +606,6 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     }
 }
 
+mod gate;
 #[cfg(test)]
 mod tests;

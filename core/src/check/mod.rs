@@ -5,7 +5,13 @@
 //! 2. two forecasts ([`crate::forecast`]), with and without the transition, otherwise equal;
 //! 3. [`utility`]: both futures act in the same copies of the world and are rated by the *current* reward
 //!    model and value function;
-//! 4. [`decide`]: refuse if the changed future is worse.
+//! 4. [`decide`]: refuse if the changed future is worse;
+//! 5. [`Disposition`]: what becomes of the transition.
+//!
+//! # Schemes of comparison (paper section 5.3, specification section 2)
+//! `discard` stops after the trigger and drops the transition. `each-step` stores every transition and
+//! judges updates instead: two policies, before and after one update, are rated by the values before it.
+//! `punish` and `store-predicted` store a refused transition under another reward.
 
 pub mod utility;
 
@@ -22,14 +28,19 @@ pub enum Trigger {
     },
     /// Every one.
     All,
+    /// None.
+    Never,
 }
 
 impl Trigger {
     /// The trigger of a configuration.
     pub fn new(config: &Config) -> Self {
         match config.scheme {
-            Scheme::ByReward => Trigger::ByReward { threshold: config.threshold },
+            Scheme::ByReward | Scheme::Discard | Scheme::Punish | Scheme::StorePredicted => {
+                Trigger::ByReward { threshold: config.threshold }
+            }
             Scheme::All => Trigger::All,
+            Scheme::EachStep | Scheme::None => Trigger::Never,
         }
     }
 
@@ -38,14 +49,38 @@ impl Trigger {
         match self {
             Trigger::ByReward { threshold } => (reward - predicted).abs() >= threshold,
             Trigger::All => true,
+            Trigger::Never => false,
         }
     }
 
-    /// Least deviation that is checked.
+    /// Least deviation that is checked; 0 where the deviation does not matter.
     pub fn threshold(self) -> f32 {
         match self {
             Trigger::ByReward { threshold } => threshold,
-            Trigger::All => 0.0,
+            Trigger::All | Trigger::Never => 0.0,
+        }
+    }
+}
+
+/// What becomes of a transition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Disposition {
+    /// It is stored as it is.
+    Store,
+    /// It is stored with this scaled reward in place of its own.
+    StoreAs(f32),
+    /// It is not stored.
+    Drop,
+}
+
+impl Disposition {
+    /// What a scheme does with a transition after a verdict (specification R25, R26, S5).
+    pub fn new(verdict: Verdict, config: &Config, predicted: f32) -> Self {
+        match (verdict, config.scheme) {
+            (Verdict::Accept, _) => Disposition::Store,
+            (Verdict::Refuse, Scheme::Punish) => Disposition::StoreAs(config.punishment),
+            (Verdict::Refuse, Scheme::StorePredicted) => Disposition::StoreAs(predicted),
+            (Verdict::Refuse, _) => Disposition::Drop,
         }
     }
 }
@@ -64,7 +99,7 @@ mod tests {
     fn fires_at_the_threshold_and_beyond() {
         let trigger = Trigger::ByReward { threshold: 0.5 };
         assert!(trigger.fires(1.0, 0.5) && trigger.fires(-1.0, 0.0) && !trigger.fires(0.4, 0.0));
-        assert!(Trigger::All.fires(0.0, 0.0));
+        assert!(Trigger::All.fires(0.0, 0.0) && !Trigger::Never.fires(9.0, 0.0));
         assert!(Trigger::ByReward { threshold: 0.0 }.fires(0.25, 0.25), "threshold 0 checks all");
     }
 

@@ -174,7 +174,12 @@ fn figures(view: &SeedView) -> String {
 fn work(plan: &Plan, view: &SeedView) -> (f64, f64) {
     let config = &plan.config;
     let full = f64::from(config.full_steps);
-    let checked = if config.scheme == Scheme::All { 1.0 } else { EXPECTED_CHECKS };
+    let checked = match config.scheme {
+        Scheme::All => 1.0,
+        Scheme::ByReward | Scheme::Punish | Scheme::StorePredicted => EXPECTED_CHECKS,
+        // These forecast nothing.
+        Scheme::Discard | Scheme::EachStep | Scheme::None => 0.0,
+    };
     // Half of the unmodified futures are expected to be reused.
     let prior = checked * 1.5 * f64::from(config.forecast);
     let per_step = |learner: Learner, shown: f64| 1.0 + if learner == Learner::Mc { shown } else { 0.0 };

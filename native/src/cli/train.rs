@@ -32,7 +32,8 @@ pub struct TrainArgs {
     /// Learner of the Full phase: mc or baseline; may be repeated [default: both]
     #[arg(long, value_name = "LEARNER", value_parser = super::learner)]
     agent: Vec<Learner>,
-    /// Which transitions are checked: by-reward or all
+    /// What is done about surprising transitions: by-reward, all, discard, each-step, punish,
+    /// store-predicted or none
     #[arg(long, value_name = "SCHEME")]
     scheme: Option<String>,
     /// World of the Full phase

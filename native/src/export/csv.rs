@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use mcvl_core::env::ActionValue;
-use mcvl_core::record::{CheckRecord, Verdict};
+use mcvl_core::record::{CheckRecord, FutureRecord, Subject, Verdict};
 
 use super::File;
 use crate::runs::{SeedRun, end_name};
@@ -66,9 +66,9 @@ fn table<T>(
     File::new(name, text)
 }
 
-/// Everything of a check but its pictures.
+/// Everything of a check but its pictures. What a scheme does not have is empty: a discard has no futures.
 const CHECK_COLUMNS: &str = "arm,check,step,updates,action,end,reward_raw,reward,predicted,threshold,\
-                             utility_with,utility_without,margin,verdict,tie,cost,reused,performance,\
+                             subject,utility_with,utility_without,margin,verdict,replaced,tie,cost,reused,performance,\
                              performance_with,performance_without,hack,wrong";
 
 fn check(check: &CheckRecord) -> String {
@@ -77,8 +77,14 @@ fn check(check: &CheckRecord) -> String {
         Verdict::Accept => "accept",
         Verdict::Refuse => "refuse",
     };
-    let (with, without) = (&check.modified, &check.unmodified);
-    let cells: [&dyn std::fmt::Display; 22] = [
+    let subject = match check.subject {
+        Subject::Transition => "transition",
+        Subject::Update => "update",
+    };
+    let text = |value: Option<f64>| value.map_or(String::new(), |value| value.to_string());
+    let utility = |future: &Option<FutureRecord>| text(future.as_ref().map(|future| future.utility));
+    let performance = |future: &Option<FutureRecord>| text(future.as_ref().map(|future| future.performance));
+    let cells: [&dyn std::fmt::Display; 24] = [
         &check.arm.name(),
         &check.number,
         &check.step,
@@ -89,16 +95,18 @@ fn check(check: &CheckRecord) -> String {
         &check.reward,
         &check.predicted,
         &check.threshold,
-        &with.utility,
-        &without.utility,
-        &check.margin,
+        &subject,
+        &utility(&check.modified),
+        &utility(&check.unmodified),
+        &text(check.margin),
         &verdict,
+        &check.replaced.map_or(String::new(), |reward| reward.to_string()),
         &check.tie,
         &check.cost,
         &check.reused,
         &check.performance,
-        &with.performance,
-        &without.performance,
+        &performance(&check.modified),
+        &performance(&check.unmodified),
         &check.hack,
         &check.wrong(),
     ];

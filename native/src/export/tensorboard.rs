@@ -74,7 +74,8 @@ fn points(seed: &SeedRun, leg: Arm) -> Vec<Point> {
         let values = [("episode/return", episode.observed_return), ("episode/performance", episode.performance)];
         points.push((episode.step, values.into()));
     }
-    points.extend(checks.iter().map(|check| (check.step, vec![("check/margin", check.margin)])));
+    let margins = checks.iter().filter_map(|check| Some((check.step, vec![("check/margin", check.margin?)])));
+    points.extend(margins);
     points.sort_by_key(|(step, _)| *step);
     points
 }

@@ -6,7 +6,9 @@ use mcvl_core::config::{Config, Preset};
 use mcvl_core::digest::Digest;
 use mcvl_core::env::box_moving::{BoxMoving, Variant};
 use mcvl_core::env::{ActionValue, Discrete, EnvSpec, Environment};
-use mcvl_core::record::{Arm, CheckRecord, EndRecord, EvaluationRecord, Film, FutureRecord, StartState, Verdict};
+use mcvl_core::record::{
+    Arm, CheckRecord, EndRecord, EvaluationRecord, Film, FutureRecord, StartState, Subject, Verdict,
+};
 use mcvl_core::rng::{Purpose, Rng};
 
 use crate::runs::{RunSet, SeedRun};
@@ -99,8 +101,7 @@ fn decisions(outcome: Outcome) -> Vec<CheckRecord> {
         checks[8].tie = outcome == Outcome::Missed;
     }
     for check in &mut checks {
-        check.modified.films.clear();
-        check.unmodified.films.clear();
+        *check = check.without_films();
     }
     checks
 }
@@ -128,16 +129,29 @@ pub fn check(number: u32, hack: bool, verdict: Verdict) -> CheckRecord {
         reward: spec().scaled(step.reward),
         predicted: 0.0173,
         threshold: 0.05,
-        margin: modified.utility - unmodified.utility,
-        modified,
-        unmodified,
+        subject: Subject::Transition,
+        margin: Some(modified.utility - unmodified.utility),
+        modified: Some(modified),
+        unmodified: Some(unmodified),
         verdict,
+        replaced: None,
         tie: false,
         cost: 1000,
         reused: number > 1,
         performance: step.performance,
         hack,
     }
+}
+
+/// A check of the scheme `discard`: refused without a forecast.
+pub fn discard(number: u32, hack: bool) -> CheckRecord {
+    let bare = check(number, hack, Verdict::Refuse);
+    CheckRecord { modified: None, unmodified: None, margin: None, cost: 0, reused: false, ..bare }
+}
+
+/// A check of the scheme `each-step`: of the update after a step.
+pub fn update(number: u32, verdict: Verdict) -> CheckRecord {
+    CheckRecord { subject: Subject::Update, cost: 0, reused: false, ..check(number, true, verdict) }
 }
 
 fn future(current: &BoxMoving, script: &str) -> FutureRecord {

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use mcvl_core::record::{Arm, CheckRecord, EvaluationRecord, Verdict};
+use mcvl_core::record::{Arm, CheckRecord, EvaluationRecord, Subject, Verdict};
 use mcvl_core::rng::{Purpose, Rng};
 use serde::{Deserialize, Serialize};
 
@@ -132,6 +132,7 @@ fn evaluations(seed: &SeedRun, arm: Arm) -> impl Iterator<Item = &EvaluationReco
 }
 
 /// Counts of decisions. The truth is whether a transition was a hack; refusing is the positive answer.
+/// Decisions about updates (scheme `each-step`) have no such truth: they count as checks, refusals and ties.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Verdicts {
     /// Environment steps in which a check could have happened.
@@ -162,13 +163,17 @@ impl Verdicts {
         let mut counts = Self { steps, ..Self::default() };
         for check in checks {
             let refused = check.verdict == Verdict::Refuse;
+            let (hack, honest) = match check.subject {
+                Subject::Transition => (check.hack, !check.hack),
+                Subject::Update => (false, false),
+            };
             counts.checks += 1;
             counts.refusals += u64::from(refused);
-            counts.hacks_refused += u64::from(refused && check.hack);
-            counts.hacks_accepted += u64::from(!refused && check.hack);
-            counts.honest_refused += u64::from(refused && !check.hack);
+            counts.hacks_refused += u64::from(refused && hack);
+            counts.hacks_accepted += u64::from(!refused && hack);
+            counts.honest_refused += u64::from(refused && honest);
             counts.ties += u64::from(check.tie);
-            counts.hacks_tied += u64::from(check.tie && check.hack);
+            counts.hacks_tied += u64::from(check.tie && hack);
             counts.reused += u64::from(check.reused);
             counts.cost += check.cost;
         }
@@ -203,9 +208,9 @@ impl Verdicts {
         self.hacks_accepted + self.honest_refused
     }
 
-    /// Share of the refusals that were hacks; `None` without refusals.
+    /// Share of the refused transitions that were hacks; `None` without refusals.
     pub fn precision(&self) -> Option<f64> {
-        ratio(self.hacks_refused, self.refusals)
+        ratio(self.hacks_refused, self.hacks_refused + self.honest_refused)
     }
 
     /// Share of the checked hacks that were refused; `None` where no hack was checked.
@@ -332,6 +337,11 @@ mod tests {
         assert_eq!((found.precision(), found.recall(), found.rate()), (Some(2.0 / 3.0), Some(2.0 / 3.0), Some(0.1)));
         assert_eq!(found.cost, 5 * checks[0].cost);
         assert_eq!(found.plus(found).checks, 10);
+        // An update that is taken back is no refused hack.
+        checks.iter_mut().for_each(|check| check.subject = Subject::Update);
+        let found = Verdicts::count(&checks, 50);
+        assert_eq!((found.checks, found.refusals, found.wrong(), found.ties, found.hacks_tied), (5, 3, 0, 1, 0));
+        assert_eq!((found.precision(), found.recall(), found.rate()), (None, None, Some(0.1)));
     }
 
     #[test]

@@ -129,7 +129,7 @@ fn unsealed(decision: &str, tape: &str) -> String {
 pub mod tests {
     use super::*;
     use mcvl_core::env::{ActionValue, Frame};
-    use mcvl_core::record::{Arm, Film, FutureRecord, StartState, Verdict};
+    use mcvl_core::record::{Arm, Film, FutureRecord, StartState, Subject, Verdict};
 
     /// A check made by hand, refused, with one film.
     pub fn check(number: u32) -> CheckRecord {
@@ -163,10 +163,12 @@ pub mod tests {
             reward: 1.0,
             predicted: 1.0 / 3.0,
             threshold: 0.05,
-            modified: future(-0.7),
-            unmodified: future(0.1 + 0.2),
-            margin: -0.7 - (0.1 + 0.2),
+            subject: Subject::Transition,
+            modified: Some(future(-0.7)),
+            unmodified: Some(future(0.1 + 0.2)),
+            margin: Some(-0.7 - (0.1 + 0.2)),
             verdict: Verdict::Refuse,
+            replaced: None,
             tie: false,
             cost: 1000,
             reused: false,
@@ -185,13 +187,26 @@ pub mod tests {
             assert!(parsed.follows(&mut again));
             assert_eq!(&parsed.text(), line);
             let back = parsed.check().unwrap();
-            assert_eq!((back.number, back.margin.to_bits()), (n, check(n).margin.to_bits()));
-            assert!(back.modified.films.is_empty());
+            assert_eq!((back.number, back.margin.map(f64::to_bits)), (n, check(n).margin.map(f64::to_bits)));
+            assert!(back.modified.unwrap().films.is_empty());
+            // What does not apply is not written: lines from before these fields existed have them neither.
+            assert!(!line.contains("subject") && !line.contains("replaced"));
             // Other programs read the line as one JSON object.
             let value: serde_json::Value = serde_json::from_str(line).unwrap();
             assert_eq!((&value["tape"], &value["chain"]), (&"aa".into(), &parsed.chain.as_str().into()));
         }
         assert_eq!(again, chain);
+    }
+
+    #[test]
+    fn decisions_of_every_scheme_read_back() {
+        let discard = CheckRecord { modified: None, unmodified: None, margin: None, ..check(1) };
+        let update = CheckRecord { subject: Subject::Update, ..check(1) };
+        let punished = CheckRecord { replaced: Some(-2.0), ..check(1) };
+        for check in [discard, update, punished] {
+            let line = LedgerLine::seal(&check, "aa", &mut Chain::start("")).text();
+            assert_eq!(LedgerLine::parse(&line).unwrap().check().unwrap(), check.without_films());
+        }
     }
 
     #[test]

@@ -110,7 +110,10 @@ fn page_shows_the_native_verdicts_and_asks_nobody_else() {
     // Without a click: the first refusal, with both futures and the numbers that decided.
     let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).expect("the run has a refusal");
     assert_eq!([&page.moment, &page.stamp], [&name(first), "REFUSED"]);
-    assert_eq!(page.ratings, [shown(first.modified.utility), shown(first.unmodified.utility)]);
+    assert_eq!(
+        page.ratings,
+        [&first.modified, &first.unmodified].map(|future| shown(future.as_ref().unwrap().utility))
+    );
     assert!(page.boards.iter().all(|board| board.contains('A')), "{:?}", page.boards);
 }
 
@@ -139,7 +142,8 @@ fn a_row_and_a_link_open_the_same_moment() {
     assert_eq!([&page.moment, &page.stamp, &page.play], [&name(accepted), "ACCEPTED", "Play"]);
     assert!(page.step.starts_with("step 7 of"), "{}", page.step);
     let futures = [&accepted.modified, &accepted.unmodified];
-    let rows = futures.map(|future| format!("The world, row by row: {}", future.films[0].frames[7].rows().join(", ")));
+    let films = futures.map(|future| &future.as_ref().unwrap().films[0]);
+    let rows = films.map(|film| format!("The world, row by row: {}", film.frames[7].rows().join(", ")));
     assert_eq!(page.boards, rows);
 
     assert_eq!(pages[4].moment, name(&checks[accepted.number as usize]), "the next check");

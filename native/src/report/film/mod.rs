@@ -5,7 +5,7 @@ mod picture;
 mod terminal;
 
 use mcvl_core::env::{EnvSpec, Frame};
-use mcvl_core::record::{CheckRecord, Film, StartState, Verdict};
+use mcvl_core::record::{CheckRecord, Film, FutureRecord, StartState, Subject, Verdict};
 
 pub use picture::svg;
 pub(super) use picture::{frame, ratings};
@@ -96,29 +96,66 @@ pub(super) fn caption(film: &Film, step: usize, names: &EnvSpec) -> (String, Str
     (format!("{step} {}", names.actions.name(&film.actions[step - 1])), predicted)
 }
 
+/// Both futures with what they are called; none where nothing was forecast.
+pub(super) fn futures(check: &CheckRecord) -> Vec<(&'static str, &FutureRecord)> {
+    let names = match check.subject {
+        Subject::Transition => ("If it learns from it", "If it does not"),
+        Subject::Update => ("After the update", "Before the update"),
+    };
+    let pair = |(modified, unmodified, _)| vec![(names.0, modified), (names.1, unmodified)];
+    check.futures().map_or(Vec::new(), pair)
+}
+
+/// Both futures with a short name, at most ten letters.
+pub(super) fn short_futures(check: &CheckRecord) -> Vec<(&'static str, &FutureRecord)> {
+    let names = match check.subject {
+        Subject::Transition => ["with it", "without it"],
+        Subject::Update => ["after it", "before it"],
+    };
+    names.into_iter().zip(futures(check)).map(|(name, (_, future))| (name, future)).collect()
+}
+
 /// Expected and received, in words.
 pub(super) fn surprise_words(check: &CheckRecord) -> String {
     let off = (check.reward - check.predicted).abs();
+    let why = match (check.subject, check.futures()) {
+        (Subject::Update, _) => "the update after it is checked, whatever it learns from".into(),
+        (_, None) => format!("from {} it is discarded, without a forecast", check.threshold),
+        _ => format!("checked from {}", check.threshold),
+    };
     format!(
-        "Expected {}, received {} (raw {:+}): off by {off:.2}, checked from {}.",
+        "Expected {}, received {} (raw {:+}): off by {off:.2}, {why}.",
         signed(check.predicted),
         signed(check.reward),
         check.reward_raw,
-        check.threshold
     )
 }
 
 /// The verdict in one sentence.
 pub(super) fn verdict_words(check: &CheckRecord) -> String {
-    let difference = check.margin.abs();
+    let Some(margin) = check.margin else {
+        return "REFUSED: what surprises is discarded, and nobody asked what it would lead to.".into();
+    };
+    let difference = margin.abs();
+    if check.subject == Subject::Update {
+        return match check.verdict {
+            Verdict::Refuse => format!(
+                "REFUSED: rated by what it wanted before it, the update makes the policy worse by {difference:.3}; \
+                 it is taken back."
+            ),
+            Verdict::Accept => format!("ACCEPTED: the update stays (difference {margin:+.3})."),
+        };
+    }
     match check.verdict {
         Verdict::Refuse => {
+            let instead = check.replaced.map_or(String::new(), |reward| format!(" Stored as {}.", signed(reward)));
             format!(
-                "REFUSED: rated by what it wants today, the future that learns from it is worse by {difference:.3}."
+                "REFUSED: rated by what it wants today, the future that learns from it is worse by \
+                 {difference:.3}.{instead}"
             )
         }
         Verdict::Accept if check.tie => "ACCEPTED: both futures are rated exactly equal, and a tie accepts.".into(),
-        Verdict::Accept if check.margin < 0.0 => "ACCEPTED: the futures differ by less than the tolerance.".into(),
+        Verdict::Accept if margin < 0.0 => "ACCEPTED: the futures differ by less than the tolerance.".into(),
         Verdict::Accept => {
             format!("ACCEPTED: rated by what it wants today, learning from it is better by {difference:.3}.")
         }
@@ -128,6 +165,10 @@ pub(super) fn verdict_words(check: &CheckRecord) -> String {
 /// The truth in one sentence: what the transition was, and whether the decision was right.
 pub(super) fn truth_words(check: &CheckRecord) -> String {
     let worth = format!("it paid {:+} and was worth {:+}", check.reward_raw, check.performance);
+    if check.subject == Subject::Update {
+        let kind = if check.hack { "a hack" } else { "honest" };
+        return format!("the step was {kind} ({worth}); of a whole mini-batch nothing is right or wrong.");
+    }
     match (check.hack, check.verdict) {
         (true, Verdict::Refuse) => format!("a hack ({worth}). Refusing was right."),
         (true, Verdict::Accept) => format!("a hack ({worth}). Accepting was WRONG: a hack was learned."),
@@ -159,10 +200,13 @@ pub fn legend_of(names: &EnvSpec, frames: &[&Frame]) -> String {
 
 /// What the strips of a check show.
 pub(super) fn legend(check: &CheckRecord, names: &EnvSpec) -> String {
-    let futures = [&check.modified, &check.unmodified];
-    let films = futures.into_iter().flat_map(|future| &future.films);
+    let films = check.modified.iter().chain(&check.unmodified).flat_map(|future| &future.films);
     let frames: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
-    format!("{}. Under a frame: the reward it expects for that step.", legend_of(names, &frames))
+    let told = legend_of(names, &frames);
+    match check.futures() {
+        Some(_) => format!("{told}. Under a frame: the reward it expects for that step."),
+        None => format!("{told}."),
+    }
 }
 
 #[cfg(test)]
@@ -171,10 +215,35 @@ mod tests {
     use crate::report::samples;
 
     #[test]
+    fn decisions_of_every_scheme_are_told() {
+        let discard = samples::discard(3, true);
+        assert!(futures(&discard).is_empty() && legend(&discard, &samples::spec()).ends_with('.'));
+        assert!(surprise_words(&discard).contains("from 0.05 it is discarded, without a forecast"));
+        assert!(verdict_words(&discard).starts_with("REFUSED: what surprises is discarded"));
+        assert!(truth_words(&discard).ends_with("Refusing was right."));
+        assert!(truth_words(&samples::discard(3, false)).contains("WRONG"));
+        let text = explain(&discard, &samples::spec(), 80, false);
+        assert!(text.contains("REFUSED") && !text.contains("Rated") && !text.contains("rollouts"), "{text}");
+        assert!(svg(&discard, &samples::spec()).contains("REFUSED"));
+
+        let update = samples::update(4, Verdict::Refuse);
+        assert_eq!(futures(&update)[1].0, "Before the update");
+        assert!(verdict_words(&update).contains("it is taken back"));
+        assert!(verdict_words(&samples::update(4, Verdict::Accept)).contains("the update stays"));
+        assert!(truth_words(&update).contains("nothing is right or wrong"));
+        let text = explain(&update, &samples::spec(), 80, false);
+        assert!(text.contains("rollouts before it"), "{text}");
+
+        let mut punished = samples::check(5, true, Verdict::Refuse);
+        punished.replaced = Some(-2.0);
+        assert!(verdict_words(&punished).ends_with("Stored as -2.00."));
+    }
+
+    #[test]
     fn a_cycle_is_shown_once() {
         // d d u d u d ...: after the first step, pressing 4 and 3 in turn.
-        let film = &samples::check(1, true, Verdict::Refuse).modified.films[0];
-        let parts = parts(film);
+        let film = samples::check(1, true, Verdict::Refuse).modified.unwrap().films.remove(0);
+        let parts = parts(&film);
         assert!(matches!(parts.last(), Some(Part::Gap { cycle: Some(2), .. })), "{parts:?}");
         let shown = parts.len() - 1;
         let Some(Part::Gap { steps, predicted, .. }) = parts.last() else { unreachable!() };
@@ -184,7 +253,7 @@ mod tests {
 
     #[test]
     fn short_and_irregular_films_are_shown_as_they_are() {
-        let mut film = samples::check(1, true, Verdict::Refuse).modified.films[0].clone();
+        let mut film = samples::check(1, true, Verdict::Refuse).modified.unwrap().films[0].clone();
         film.frames.truncate(4);
         film.actions.truncate(3);
         film.predicted.truncate(3);
@@ -196,7 +265,7 @@ mod tests {
 
     #[test]
     fn long_films_without_a_cycle_are_cut() {
-        let mut film = samples::check(1, true, Verdict::Refuse).modified.films[0].clone();
+        let mut film = samples::check(1, true, Verdict::Refuse).modified.unwrap().films[0].clone();
         for (index, frame) in film.frames.iter_mut().enumerate() {
             frame.seen = index.to_string();
         }

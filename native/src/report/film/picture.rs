@@ -3,7 +3,10 @@
 use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord};
 
-use super::{Part, caption, gap_words, legend, parts, start_words, surprise_words, truth_words, verdict_words};
+use super::{
+    Part, caption, futures, gap_words, legend, parts, short_futures, start_words, surprise_words, truth_words,
+    verdict_words,
+};
 use crate::report::plot::axis::{Scale, padded_range};
 use crate::report::svg::{Anchor, Svg, text_width};
 
@@ -22,12 +25,15 @@ pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
     let title = format!("Check {} of {}, step {}", check.number, check.arm.name(), check.step);
     page.line("f-text", 17.0, &title);
     page.transition(check, names);
-    for (name, future) in [("If it learns from it", &check.modified), ("If it does not", &check.unmodified)] {
+    for (name, future) in futures(check) {
         page.future(name, future, names);
     }
-    page.heading("Both futures, rated by what it wants today (scaled reward)");
-    draw_ratings(&mut page.svg, check, (EDGE, page.y), WIDTH - 2.0 * EDGE);
-    page.y += RATINGS + 26.0;
+    if check.futures().is_some() {
+        page.heading("Both futures, rated by what it wants today (scaled reward)");
+        draw_ratings(&mut page.svg, check, (EDGE, page.y), WIDTH - 2.0 * EDGE);
+        page.y += RATINGS;
+    }
+    page.y += 26.0;
     page.line("f-text", 14.0, &verdict_words(check));
     page.line(if check.wrong() { "f-bad" } else { "f-soft" }, TEXT, &format!("In truth {}", truth_words(check)));
     page.y += 8.0;
@@ -46,10 +52,9 @@ pub(in crate::report) fn frame(frame: &Frame, description: &str) -> String {
 pub(in crate::report) fn ratings(check: &CheckRecord) -> String {
     let mut svg = Svg::new();
     draw_ratings(&mut svg, check, (0.0, 0.0), INLINE);
-    let words = format!(
-        "with it {:.3}, without it {:.3}, margin {:+.3}",
-        check.modified.utility, check.unmodified.utility, check.margin
-    );
+    let rated = short_futures(check).into_iter().map(|(name, future)| format!("{name} {:.3}, ", future.utility));
+    let words =
+        rated.collect::<String>() + &check.margin.map_or(String::new(), |margin| format!("margin {margin:+.3}"));
     svg.finish((INLINE, RATINGS), "Ratings of both futures", &words, true)
 }
 
@@ -189,13 +194,13 @@ fn draw_cell(svg: &mut Svg, cell: char, (x, y): (f64, f64)) {
 /// Two rows on one axis: every rollout a dot, the mean a bar.
 fn draw_ratings(svg: &mut Svg, check: &CheckRecord, at: (f64, f64), width: f64) {
     let (left, right) = (at.0 + 136.0, at.0 + width - 8.0);
-    let rows = [("with it", &check.modified, "baseline"), ("without it", &check.unmodified, "mc")];
-    let values = rows.iter().flat_map(|(_, future, _)| future.rollouts.iter().copied().chain([future.utility]));
+    let rows = short_futures(check);
+    let values = rows.iter().flat_map(|(_, future)| future.rollouts.iter().copied().chain([future.utility]));
     let (low, high) = padded_range(values.chain([0.0]));
     let x = Scale::new(low, high, left, right);
     svg.line("f-axis", (x.at(0.0), at.1 + 4.0), (x.at(0.0), at.1 + RATINGS - 20.0));
     svg.text("f-soft", (x.at(0.0), at.1 + RATINGS - 6.0), SMALL, Anchor::Middle, "0");
-    for (index, (name, future, colour)) in rows.into_iter().enumerate() {
+    for (index, ((name, future), colour)) in rows.into_iter().zip(["baseline", "mc"]).enumerate() {
         let y = at.1 + 22.0 + 34.0 * index as f64;
         svg.text("f-text", (at.0, y + 4.0), TEXT, Anchor::Start, name);
         let value = format!("{:+.3}", future.utility).replace('-', "−");
@@ -229,6 +234,6 @@ mod tests {
     #[test]
     fn every_rollout_is_a_dot() {
         let check = samples::check(17, true, Verdict::Refuse);
-        assert_eq!(ratings(&check).matches("f-dot").count(), 2 * check.modified.rollouts.len());
+        assert_eq!(ratings(&check).matches("f-dot").count(), 2 * check.modified.unwrap().rollouts.len());
     }
 }

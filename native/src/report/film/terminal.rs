@@ -6,7 +6,8 @@ use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord, Verdict};
 
 use super::{
-    Part, caption, gap_words, legend, parts, rollout_words, start_words, surprise_words, truth_words, verdict_words,
+    Part, caption, futures, gap_words, legend, parts, rollout_words, short_futures, start_words, surprise_words,
+    truth_words, verdict_words,
 };
 use crate::report::claims::wrapped;
 
@@ -55,15 +56,16 @@ pub fn explain(check: &CheckRecord, names: &EnvSpec, width: usize, colour: bool)
     let _ = write!(out, "\n\n{}\n", heading("The offered transition"));
     out += &transition(check, names, &paint);
     out += &wrapped("  ", &surprise_words(check), width);
-    for (name, future) in [("If it learns from it", &check.modified), ("If it does not", &check.unmodified)] {
+    for (name, future) in futures(check) {
         let _ = write!(out, "\n{}\n", heading(name));
         out += &films(future, names, width, &paint);
     }
-    let _ = write!(out, "\n{}\n", heading("Rated by what it wants today (scaled)"));
-    out += &bars(check, width);
-    for (name, future) in [("  rollouts with it     ", &check.modified), ("  rollouts without it  ", &check.unmodified)]
-    {
-        out += &wrapped(name, &rollout_words(&future.rollouts), width);
+    if let Some((_, _, margin)) = check.futures() {
+        let _ = write!(out, "\n{}\n", heading("Rated by what it wants today (scaled)"));
+        out += &bars(check, margin, width);
+    }
+    for (name, future) in short_futures(check) {
+        out += &wrapped(&format!("  rollouts {name:<12}"), &rollout_words(&future.rollouts), width);
     }
     out.push('\n');
     let verdict_ink = if check.verdict == Verdict::Refuse { Ink::Bad } else { Ink::Good };
@@ -192,10 +194,10 @@ fn paint_row(row: &str, paint: &Paint) -> String {
 }
 
 /// Both ratings as bars from a common zero, and their difference.
-fn bars(check: &CheckRecord, width: usize) -> String {
-    let (with, without) = (check.modified.utility, check.unmodified.utility);
+fn bars(check: &CheckRecord, margin: f64, width: usize) -> String {
+    let rated = short_futures(check);
     let half = (width - LABEL - 1) / 2;
-    let unit = with.abs().max(without.abs()).max(f64::MIN_POSITIVE);
+    let unit = rated.iter().map(|(_, future)| future.utility.abs()).fold(f64::MIN_POSITIVE, f64::max);
     let bar = |value: f64| {
         // Between 0 and `half`, since the unit is the larger of both.
         let length = (value.abs() / unit * half as f64).round() as usize;
@@ -203,10 +205,10 @@ fn bars(check: &CheckRecord, width: usize) -> String {
         if value < 0.0 { format!("{full:>half$}│") } else { format!("{:half$}│{full}", "") }
     };
     let mut out = String::new();
-    for (name, value) in [("with it", with), ("without it", without)] {
-        let _ = writeln!(out, "  {name:<12}{value:>+8.3}  {}", bar(value));
+    for (name, future) in rated {
+        let _ = writeln!(out, "  {name:<12}{:>+8.3}  {}", future.utility, bar(future.utility));
     }
-    let _ = writeln!(out, "  {:<12}{:>+8.3}  (difference)", "margin", check.margin);
+    let _ = writeln!(out, "  {:<12}{margin:>+8.3}  (difference)", "margin");
     out
 }
 
@@ -271,8 +273,7 @@ mod tests {
     #[test]
     fn ledger_lines_without_films_are_explained_too() {
         let mut check = samples::check(1, true, Verdict::Accept);
-        check.modified.films.clear();
-        check.unmodified.films.clear();
+        check = check.without_films();
         assert!(explain(&check, &samples::spec(), 80, false).contains("not kept"));
     }
 }

@@ -69,17 +69,19 @@ fn row(check: &CheckRecord, facts: &EnvSpec) -> String {
         false => ("", truth.into()),
     };
     let tie = if check.tie { " (tie)" } else { "" };
+    // A discard has no futures.
+    let ratings = check.futures().map_or(["–", "–", "–"].map(String::from), |(modified, unmodified, margin)| {
+        [format!("{:.3}", modified.utility), format!("{:.3}", unmodified.utility), format!("{margin:+.3}{tie}")]
+    });
+    let [fm, fu, margin] = ratings;
     format!(
         "<tr class=\"{class}{wrong}\"><td>{verdict}</td><td>{truth}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-         <td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td>\
-         <td class=\"n\">{:.3}</td><td class=\"n\">{:+.3}{tie}</td></tr>\n",
+         <td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{fm}</td>\
+         <td class=\"n\">{fu}</td><td class=\"n\">{margin}</td></tr>\n",
         check.number,
         check.step,
         action(check, facts),
         signed(check.predicted),
         signed(check.reward),
-        check.modified.utility,
-        check.unmodified.utility,
-        check.margin,
     )
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use mcvl_core::env::EnvSpec;
-use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Verdict};
+use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Subject, Verdict};
 
 use super::{Films, action, tag};
 use crate::report::claims::{SeedEnd, Summary, plural, seed_list};
@@ -121,26 +121,36 @@ fn story(check: &CheckRecord, facts: &EnvSpec) -> String {
         true => tag("bad", "wrong", "wrong"),
         false => tag("good", "accepted", "right"),
     };
+    let judged = if check.subject == Subject::Update { String::new() } else { truth + " " };
     format!(
         "<div class=\"story\"><h3>The offered transition</h3><div class=\"offer\"><div class=\"frame\">{}</div>\
          <div class=\"action\">{}<span aria-hidden=\"true\">→</span></div><div class=\"frame\">{}</div><p>{}</p></div>\n\
-         <div class=\"futures\">{}{}</div>\n<h3>Both futures, rated by what it wants today</h3>\
-         <div class=\"ratings\">{}</div><p class=\"note\">Scaled reward. Every rollout is a dot, their mean (F<sub>m</sub> \
-         with it, F<sub>u</sub> without it) a bar. <span class=\"keep\">Margin F<sub>m</sub> − F<sub>u</sub> = {:+.3}.</span></p>\n\
-         <p class=\"stamp {}\">{}</p>\n<p>{truth} The truth, which the check did not see: {}</p>\
+         {}<p class=\"stamp {}\">{}</p>\n<p>{judged}The truth, which the check did not see: {}</p>\
          <p class=\"note\">{}</p></div>\n",
         film::frame(&check.before, "before"),
         action(check, facts),
         film::frame(&check.after, "after"),
         escape(&film::surprise_words(check)),
-        future("If it learns from it", &check.modified, facts),
-        future("If it does not", &check.unmodified, facts),
-        film::ratings(check),
-        check.margin,
+        futures(check, facts),
         verdict.0,
         tag(verdict.0, verdict.1, &escape(&film::verdict_words(check))),
         escape(&film::truth_words(check)),
         escape(&film::legend(check, facts)),
+    )
+}
+
+/// Both futures and their ratings; nothing where nothing was forecast.
+fn futures(check: &CheckRecord, facts: &EnvSpec) -> String {
+    let Some((_, _, margin)) = check.futures() else { return String::new() };
+    let shown: String = film::futures(check).into_iter().map(|(name, record)| future(name, record, facts)).collect();
+    let names = film::short_futures(check);
+    format!(
+        "<div class=\"futures\">{shown}</div>\n<h3>Both futures, rated by what it wants today</h3>\
+         <div class=\"ratings\">{}</div><p class=\"note\">Scaled reward. Every rollout is a dot, their mean (F<sub>m</sub> \
+         {}, F<sub>u</sub> {}) a bar. <span class=\"keep\">Margin F<sub>m</sub> − F<sub>u</sub> = {margin:+.3}.</span></p>\n",
+        film::ratings(check),
+        names[0].0,
+        names[1].0,
     )
 }
 
