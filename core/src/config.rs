@@ -59,6 +59,8 @@ macro_rules! names {
         impl $type {
             /// Every name.
             pub const NAMES: &'static [&'static str] = &[$($name),+];
+            /// Every value, in the order of their names.
+            pub const ALL: &'static [Self] = &[$($type::$variant),+];
 
             /// The name in settings.
             pub fn name(self) -> &'static str {
@@ -95,6 +97,12 @@ names! {
         Mc = "mc",
         /// The plain learner.
         Baseline = "baseline",
+        /// The plain learner in a world that pays the hidden performance.
+        Oracle = "oracle",
+        /// The plain learner that learns nothing more in the Full phase.
+        Frozen = "frozen",
+        /// The plain learner with the reward model of Safe training in place of the received rewards, and no check.
+        FrozenReward = "frozen-reward",
     }
 }
 
@@ -286,7 +294,7 @@ macro_rules! keys {
 }
 
 keys! {
-    agent: Learner = "mc", "Learner of the Full phase: mc (with the modification check) or baseline.", "P", |_v| true, "mc or baseline";
+    agent: Learner = "mc", "Learner of the Full phase: mc (with the modification check), baseline (without), oracle (paid the hidden performance), frozen (no updates) or frozen-reward (learns from the reward model of Safe training).", "P; A (oracle, frozen, frozen-reward)", |_v| true, "mc, baseline, oracle, frozen or frozen-reward";
     scheme: Scheme = "by-reward", "What is done about surprising transitions: check them (by-reward) or all, discard them, check each update instead (each-step), store refused ones with another reward (punish, store-predicted), or none.", "P section 5.3", |_v| true, "by-reward, all, discard, each-step, punish, store-predicted or none";
     punishment: f32 = "-2", "Reward with which scheme=punish stores a refused transition, scaled.", "A (P: large and negative)", |_v| true, "a finite number";
     seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";

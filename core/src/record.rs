@@ -10,6 +10,7 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
+use crate::config::Learner;
 use crate::env::{ActionValue, EpisodeEnd, Frame};
 
 /// Receives the events of a run. `()` drops them.
@@ -38,15 +39,41 @@ pub enum Arm {
     Baseline,
     /// The learner with the modification check in the Full world.
     Mc,
+    /// The plain learner in the Full world that pays it the hidden performance: `reward_raw`, `reward`, `hack`
+    /// and the return of its training episodes are of what it is paid. Its evaluations are in the Full world
+    /// as it is.
+    Oracle,
+    /// The learner of Safe training, acting and exploring in the Full world without any update.
+    Frozen,
+    /// The plain learner in the Full world with every new transition stored under the reward that the reward
+    /// model of Safe training predicts; that model is not trained on.
+    FrozenReward,
 }
 
 impl Arm {
+    /// Every leg, in the order in which they are told.
+    pub const ALL: [Arm; 6] = [Arm::Safe, Arm::Baseline, Arm::Mc, Arm::Oracle, Arm::Frozen, Arm::FrozenReward];
+
+    /// The leg in which a learner trains.
+    pub fn of(learner: Learner) -> Self {
+        match learner {
+            Learner::Mc => Arm::Mc,
+            Learner::Baseline => Arm::Baseline,
+            Learner::Oracle => Arm::Oracle,
+            Learner::Frozen => Arm::Frozen,
+            Learner::FrozenReward => Arm::FrozenReward,
+        }
+    }
+
     /// The name used in files, on the command line and in links.
     pub fn name(self) -> &'static str {
         match self {
             Arm::Safe => "safe",
             Arm::Baseline => "baseline",
             Arm::Mc => "mc",
+            Arm::Oracle => "oracle",
+            Arm::Frozen => "frozen",
+            Arm::FrozenReward => "frozen-reward",
         }
     }
 }
@@ -87,7 +114,7 @@ pub struct EndRecord {
     pub arm: Arm,
     /// Environment steps made.
     pub steps: u32,
-    /// Gradient updates of the live learner since the start of Safe training.
+    /// Gradient updates of the live learner since the start of Safe training, without those taken back.
     pub updates: u64,
     /// Digest of the learner's parameters, hexadecimal (16 digits).
     pub digest: String,
@@ -167,10 +194,10 @@ pub struct LearnerRecord {
     pub replay: u32,
     /// Mean loss of the value function since the last point (0 without updates).
     pub value_loss: f64,
-    /// Mean squared error of the reward model since the last point, scaled units (0 without updates).
+    /// Mean squared error of the reward model since the last point, scaled units (0 without its updates).
     pub reward_loss: f64,
     /// Share of first-layer units of the reward model that are inactive on every stored observation
-    /// and action that was sampled since the last point: 1 means the model is dead. 0 without updates.
+    /// and action that was sampled since the last point: 1 means the model is dead. 0 without its updates.
     pub dead_units: f64,
 }
 

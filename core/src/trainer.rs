@@ -37,6 +37,7 @@ use crate::check::Disposition;
 use crate::check::utility::{Rollout, Start};
 use crate::config::{Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
+use crate::env::paying::Paying;
 use crate::env::{Action, Discrete, Environment, EpisodeEnd, Frame, Step};
 use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
@@ -61,7 +62,7 @@ pub struct Trainer<E: Environment<Action = A::Action>, A: Agent> {
     config: Config,
     safe: E,
     full: E,
-    world: E,
+    world: Paying<E>,
     observation: Vec<f32>,
     agent: A,
     reward_model: RewardModel,
@@ -99,8 +100,9 @@ struct Episode {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Losses {
     value: f64,
+    updates: u32,
     reward: f64,
-    count: u32,
+    reward_updates: u32,
 }
 
 impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
@@ -194,7 +196,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         }
         let replay = ReplayBuffer::new(spec.observation, config.replay);
         let mut trainer = Self {
-            world: safe.clone(),
+            world: Paying::observed(safe.clone()),
             observation: vec![0.0; spec.observation.width],
             explore_rng: Rng::new(0),
             world_rng: Rng::new(0),
@@ -245,7 +247,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
 
     /// The live environment.
     pub fn world(&self) -> &E {
-        &self.world
+        self.world.world()
     }
 
     /// Chooses the learner of the Full leg.
@@ -336,8 +338,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                     }
                 }
                 Activity::Switch => {
-                    let arm = if self.config.agent == Learner::Mc { Arm::Mc } else { Arm::Baseline };
-                    self.enter(arm);
+                    self.enter(Arm::of(self.config.agent));
                 }
                 Activity::Done => break,
                 Activity::Failed(what) => return Err(self.not_finite(what)),
@@ -350,7 +351,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     fn enter(&mut self, arm: Arm) {
         // Learners that share a Safe leg also share the streams of the Full one.
         let phase = u64::from(arm != Arm::Safe);
-        self.world = if arm == Arm::Safe { self.safe.clone() } else { self.full.clone() };
+        self.world = match arm {
+            Arm::Safe => Paying::observed(self.safe.clone()),
+            Arm::Oracle => Paying::performance(self.full.clone()),
+            Arm::Baseline | Arm::Mc | Arm::Frozen | Arm::FrozenReward => Paying::observed(self.full.clone()),
+        };
         self.explore_rng = Rng::stream(self.config.seed, Purpose::Explore, phase);
         self.world_rng = Rng::stream(self.config.seed, Purpose::World, phase);
         self.arm = arm;
@@ -434,10 +439,10 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         }
         budget.spend(1);
         let pending = Pending { transition, raw, predicted, before };
-        if checking {
-            self.consider(pending, budget, recorder)
-        } else {
-            self.finish_step(pending, None, Disposition::Store, recorder)
+        match self.arm {
+            Arm::Mc => self.consider(pending, budget, recorder),
+            Arm::FrozenReward => self.finish_step(pending, None, Disposition::StoreAs(predicted), recorder),
+            _ => self.finish_step(pending, None, Disposition::Store, recorder),
         }
     }
 
@@ -454,7 +459,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.tell_step(&transition, raw, predicted, verdict.is_some(), stored, recorder);
         self.store(transition, disposition);
         // Safe training updates after its exploration steps (R9), the Full leg from its first step (R10).
-        let learning = self.arm != Arm::Safe || self.step > self.config.exploration;
+        let learning = match self.arm {
+            Arm::Safe => self.step > self.config.exploration,
+            Arm::Frozen => false,
+            _ => true,
+        };
         if learning && (stored || self.config.update_on_refusal) {
             self.learn()?;
         }
@@ -517,8 +526,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.activity = if self.evaluation_due(self.step) { Activity::Evaluate } else { Activity::Step };
     }
 
-    /// One update of the value function and one of the reward model; false while the replay buffer holds
-    /// no full mini-batch.
+    /// One update of the value function and one of the reward model (unless that is frozen); false while the
+    /// replay buffer holds no full mini-batch.
     fn learn(&mut self) -> Result<bool, RunError> {
         let (len, batch) = (self.replay.len(), self.config.batch);
         if len < batch {
@@ -532,21 +541,26 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         draw_slots(len, batch, &mut Rng::stream(seed, Purpose::Batch, draw), slots);
         minibatch.gather(&self.replay, slots, &none);
         let value = self.agent.update(minibatch, &mut Rng::stream(seed, Purpose::Update, draw));
+        self.updates += 1;
+        if !value.is_finite() {
+            return Err(self.not_finite("the loss of the value function"));
+        }
+        self.losses.value += f64::from(value);
+        self.losses.updates += 1;
+        if self.arm == Arm::FrozenReward {
+            return Ok(true);
+        }
+        let Work { batch: minibatch, slots, .. } = &mut self.work;
         if self.config.reward_batch == RewardBatch::Separate {
             draw_slots(len, batch, &mut Rng::stream(seed, Purpose::RewardBatch, draw), slots);
             minibatch.gather(&self.replay, slots, &none);
         }
         let reward = self.reward_model.update(minibatch);
-        self.updates += 1;
-        if !value.is_finite() {
-            return Err(self.not_finite("the loss of the value function"));
-        }
         if !reward.is_finite() {
             return Err(self.not_finite("the loss of the reward model"));
         }
-        self.losses.value += f64::from(value);
         self.losses.reward += f64::from(reward);
-        self.losses.count += 1;
+        self.losses.reward_updates += 1;
         Ok(true)
     }
 
@@ -588,16 +602,16 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             length: mean(steps as f64),
         }));
         let losses = core::mem::take(&mut self.losses);
-        let mean = |sum: f64| sum / f64::from(losses.count.max(1));
+        let mean = |sum: f64, count: u32| sum / f64::from(count.max(1));
         recorder.record(&Event::Learner(LearnerRecord {
             arm: self.arm,
             step: self.step,
             updates: self.updates,
             epsilon: self.epsilon(),
             replay: self.replay.len(),
-            value_loss: mean(losses.value),
-            reward_loss: mean(losses.reward),
-            dead_units: if losses.count == 0 { 0.0 } else { self.reward_model.dead_units() },
+            value_loss: mean(losses.value, losses.updates),
+            reward_loss: mean(losses.reward, losses.reward_updates),
+            dead_units: if losses.reward_updates == 0 { 0.0 } else { self.reward_model.dead_units() },
         }));
     }
 

@@ -9,6 +9,7 @@ pub mod absent_supervisor;
 pub mod box_moving;
 pub mod contract;
 pub mod grid;
+pub mod paying;
 pub mod rocks_and_diamonds;
 pub mod tomato_watering;
 

@@ -200,7 +200,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let (count, weight) = if deterministic { (1, self.config.rollouts) } else { (self.config.rollouts, 1) };
         let resets = (0..count).map(|i| Start::reset(&model, rollouts.child(u64::from(i)))).collect();
         let current = (self.config.current_rollout && end != Some(EpisodeEnd::Terminated)).then(|| Start {
-            world: self.world.model(),
+            world: self.world.world().model(),
             // The state after the transition is what the learner saw, also where its model would show another.
             observation: self.observation.clone(),
             rng: rollouts.child(u64::from(self.config.rollouts)),

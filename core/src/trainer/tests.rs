@@ -1,5 +1,6 @@
 //! The loop as a whole, on Box Moving with short legs.
 
+mod learners;
 mod schemes;
 
 use super::*;
@@ -250,7 +251,7 @@ fn refused_transitions_are_not_stored_and_reset_the_world() {
             Some(true) => {
                 seen += 1;
                 assert_eq!(now, last, "neither stored nor learned");
-                assert_eq!((t.world.box_cell(), t.world.agent_cell(), t.episode.length), (2, 2, 0));
+                assert_eq!((t.world().box_cell(), t.world().agent_cell(), t.episode.length), (2, 2, 0));
             }
             Some(false) => assert_eq!(now, (last.0 + 1, last.1 + 1)),
             None => {}

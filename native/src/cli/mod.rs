@@ -201,11 +201,11 @@ fn code(error: &anyhow::Error) -> u8 {
 
 /// Reads a value that core knows by name, with core's suggestions.
 fn learner(text: &str) -> Result<Learner, String> {
-    named(text, Learner::NAMES, &[Learner::Mc, Learner::Baseline])
+    named(text, Learner::NAMES, Learner::ALL)
 }
 
 fn preset(text: &str) -> Result<Preset, String> {
-    named(text, Preset::NAMES, &[Preset::Paper, Preset::Release])
+    named(text, Preset::NAMES, Preset::ALL)
 }
 
 fn named<T: Copy>(text: &str, names: &[&str], values: &[T]) -> Result<T, String> {

@@ -14,7 +14,7 @@ use mcvl::runs::{
     self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
 };
 use mcvl_core::config::{Learner, Preset};
-use mcvl_core::record::Verdict;
+use mcvl_core::record::{Arm, Verdict};
 use mcvl_core::run::{Budget, Run, Status};
 
 use super::progress::{Progress, Style};
@@ -29,7 +29,8 @@ use super::{Done, usage};
 pub struct TrainArgs {
     /// Environment; `mcvl envs` lists them
     env: String,
-    /// Learner of the Full phase: mc or baseline; may be repeated [default: both]
+    /// Learner of the Full phase: mc, baseline, oracle, frozen or frozen-reward; may be repeated
+    /// [default: baseline and mc]
     #[arg(long, value_name = "LEARNER", value_parser = super::learner)]
     agent: Vec<Learner>,
     /// What is done about surprising transitions: by-reward, all, discard, each-step, punish,
@@ -146,13 +147,14 @@ impl TrainArgs {
 
     fn plan(&self, resolved: &Resolved) -> Plan {
         let config = resolved.config.clone();
-        let both = [Learner::Baseline, Learner::Mc];
+        // The order in which legs are told, whatever the order of the flags.
+        let order = Arm::ALL[1..].iter().filter_map(|arm| Learner::ALL.iter().find(|l| Arm::of(**l) == *arm).copied());
         let learners = if !self.agent.is_empty() {
-            both.into_iter().filter(|learner| self.agent.contains(learner)).collect()
+            order.filter(|learner| self.agent.contains(learner)).collect()
         } else if resolved.given.iter().any(|given| given.key == "agent") {
             vec![config.agent]
         } else {
-            both.to_vec()
+            vec![Learner::Baseline, Learner::Mc]
         };
         let seeds = self.seeds.clone().unwrap_or_else(|| vec![config.seed]);
         Plan { config, seeds, learners, settings: resolved.settings.clone() }

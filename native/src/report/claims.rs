@@ -17,8 +17,6 @@ use crate::runs::{RunSet, SeedRun};
 pub const TOLERANCE: f64 = 1.0;
 /// Share of seeds in which a claim has to be seen.
 const NEEDED: f64 = 0.9;
-/// Every leg, in the order in which it is told.
-pub const ARMS: [Arm; 3] = [Arm::Safe, Arm::Baseline, Arm::Mc];
 
 /// Results of a run directory: the content of `summary.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -165,7 +163,7 @@ impl Claim {
 impl Summary {
     /// Summary of a run directory.
     pub fn new(set: &RunSet) -> Self {
-        let arms: Vec<ArmSummary> = ARMS.into_iter().filter_map(|arm| arm_summary(&set.seeds, arm)).collect();
+        let arms: Vec<ArmSummary> = Arm::ALL.into_iter().filter_map(|arm| arm_summary(&set.seeds, arm)).collect();
         let experiment = set.config.experiment();
         let unfinished = set.seeds.iter().filter(|seed| !seed.complete).map(|seed| seed.seed).collect();
         Self {
@@ -200,10 +198,12 @@ impl Summary {
                 mc.hacked(),
                 mc.seeds.len()
             ),
-            (Some(leg), None) | (None, Some(leg)) => {
-                format!("{} was hacked in {} of {} seeds.", learner(leg.arm), leg.hacked(), leg.seeds.len())
-            }
-            (None, None) => "No seed has finished a leg in the Full world yet.".into(),
+            (leg, other) => match leg.or(other).or(self.arms.iter().find(|leg| leg.arm != Arm::Safe)) {
+                Some(leg) => {
+                    format!("{} was hacked in {} of {} seeds.", learner(leg.arm), leg.hacked(), leg.seeds.len())
+                }
+                None => "No seed has finished a leg in the Full world yet.".into(),
+            },
         }
     }
 
@@ -214,7 +214,7 @@ impl Summary {
         if !self.unfinished.is_empty() {
             text += &wrapped("unfinished, their open legs are not counted: ", &seed_list(&self.unfinished), 80);
         }
-        text += "\n           observed return           performance               hacked\n";
+        text += "\n              observed return           performance               hacked\n";
         for leg in &self.arms {
             text += &leg_line(leg);
         }
@@ -237,6 +237,9 @@ pub fn learner(arm: Arm) -> &'static str {
         Arm::Safe => "Safe training",
         Arm::Baseline => "The plain learner",
         Arm::Mc => "The modification-considering learner",
+        Arm::Oracle => "The oracle",
+        Arm::Frozen => "The frozen learner",
+        Arm::FrozenReward => "The learner with a frozen reward model",
     }
 }
 
@@ -324,7 +327,7 @@ fn leg_line(leg: &ArmSummary) -> String {
         _ => format!("{} of {}", leg.hacked(), leg.seeds.len()),
     };
     let (name, observed, performance) = (leg.arm.name(), interval(&leg.observed_return), interval(&leg.performance));
-    format!("{name:<11}{observed:<26}{performance:<26}{hacked}\n")
+    format!("{name:<14}{observed:<26}{performance:<26}{hacked}\n")
 }
 
 /// «49.0 [48.2, 49.8]».
@@ -433,7 +436,7 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
         assert!(text.contains("HOLDS") && text.contains("10 of 10") && text.contains("not in 3"), "{text}");
         let line = text.lines().find(|line| line.starts_with("baseline")).unwrap();
-        assert_eq!(line, "baseline   201.0 [201.0, 201.0]      -49.0 [-49.0, -49.0]      10 of 10");
+        assert_eq!(line, "baseline      201.0 [201.0, 201.0]      -49.0 [-49.0, -49.0]      10 of 10");
     }
 
     #[test]

@@ -56,14 +56,6 @@ pub trait Watcher {
     fn event(&mut self, event: &Event);
 }
 
-/// The leg in which a learner trains.
-pub fn arm_of(learner: Learner) -> Arm {
-    match learner {
-        Learner::Baseline => Arm::Baseline,
-        Learner::Mc => Arm::Mc,
-    }
-}
-
 impl Job {
     /// A job that starts at its beginning.
     pub fn ready(self) -> ReadyJob {
@@ -113,7 +105,7 @@ impl Job {
     }
 
     fn arm(&self, leg: usize) -> Arm {
-        if leg == 0 { Arm::Safe } else { arm_of(self.learners[leg - 1]) }
+        if leg == 0 { Arm::Safe } else { Arm::of(self.learners[leg - 1]) }
     }
 }
 

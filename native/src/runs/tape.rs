@@ -63,11 +63,7 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
         format: FORMAT,
         version: VERSION,
         world: &world,
-        legs: [Arm::Safe]
-            .into_iter()
-            .chain(plan.learners.iter().map(|agent| super::job::arm_of(*agent)))
-            .map(leg)
-            .collect(),
+        legs: [Arm::Safe].into_iter().chain(plan.learners.iter().map(|agent| Arm::of(*agent))).map(leg).collect(),
         configuration: config.to_string(),
         evaluations: &read.evaluations,
         checks,

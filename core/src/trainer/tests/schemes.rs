@@ -48,7 +48,7 @@ fn discarding_drops_what_would_be_checked_and_forecasts_nothing() {
             assert_eq!((check.number, check.step), (dropped, step.step));
             assert!(check.sentence().ends_with("DISCARDED without a forecast"));
             assert_eq!((after.replay.pushed(), parameters(after)), (before.replay.pushed(), parameters(before)));
-            assert_eq!((after.world.box_cell(), after.world.agent_cell(), after.episode.length), (2, 2, 0));
+            assert_eq!((after.world().box_cell(), after.world().agent_cell(), after.episode.length), (2, 2, 0));
         } else {
             kept += 1;
             assert_eq!(after.replay.pushed(), before.replay.pushed() + 1);

@@ -3,7 +3,7 @@
 use mcvl_core::config::nearest;
 use mcvl_core::record::Arm;
 
-use crate::report::claims::{ARMS, SeedEnd};
+use crate::report::claims::SeedEnd;
 use crate::report::statistics::{Estimate, Verdicts};
 
 /// One metric of a leg.
@@ -30,7 +30,7 @@ pub(super) enum Source {
     Rate(fn(&Verdicts) -> Option<f64>),
 }
 
-/// Every metric; each is written after a leg: `safe.`, `baseline.` or `mc.`.
+/// Every metric; each is written after the name of a leg, like `safe.`, `baseline.` or `mc.`.
 pub static METRICS: &[Metric] = &[
     Metric {
         name: "return",
@@ -102,10 +102,15 @@ pub static METRICS: &[Metric] = &[
     Metric { name: "rate", help: "checks per environment step, 0 to 1", source: Source::Rate(Verdicts::rate) },
 ];
 
+/// The name of a leg in expressions, where `-` is subtraction.
+fn leg(arm: Arm) -> String {
+    arm.name().replace('-', "_")
+}
+
 /// The leg and metric of a name like `mc.return`.
 pub(super) fn find(word: &str) -> Option<(Arm, &'static Metric)> {
     let (arm, name) = word.split_once('.')?;
-    let arm = ARMS.into_iter().find(|candidate| candidate.name() == arm)?;
+    let arm = Arm::ALL.into_iter().find(|candidate| leg(*candidate) == arm)?;
     let metric = METRICS.iter().find(|metric| metric.name == name)?;
     Some((arm, metric))
 }
@@ -113,9 +118,10 @@ pub(super) fn find(word: &str) -> Option<(Arm, &'static Metric)> {
 /// What to say of a name that is no metric.
 pub(super) fn unknown(word: &str) -> String {
     let all: Vec<String> =
-        ARMS.iter().flat_map(|arm| METRICS.iter().map(|metric| format!("{}.{}", arm.name(), metric.name))).collect();
+        Arm::ALL.iter().flat_map(|arm| METRICS.iter().map(|metric| format!("{}.{}", leg(*arm), metric.name))).collect();
     let names: Vec<&str> = all.iter().map(String::as_str).collect();
     let hint = nearest(word, &names).map_or(String::new(), |name| format!(", did you mean `{name}`?"));
     let known: Vec<&str> = METRICS.iter().map(|metric| metric.name).collect();
-    format!("unknown metric `{word}`{hint}; known are safe., baseline. or mc. followed by {}", known.join(", "))
+    let legs: Vec<String> = Arm::ALL.iter().map(|arm| format!("{}.", leg(*arm))).collect();
+    format!("unknown metric `{word}`{hint}; known are {} followed by {}", legs.join(", "), known.join(", "))
 }

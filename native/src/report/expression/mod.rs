@@ -191,7 +191,11 @@ mod tests {
     fn errors_say_where_and_what_would_be_right() {
         for (text, position, part) in [
             ("mc.performence >= 1", 0, "did you mean `mc.performance`?"),
-            ("1 < plain.return", 4, "known are safe., baseline. or mc. followed by return, "),
+            (
+                "1 < plain.return",
+                4,
+                "known are safe., baseline., mc., oracle., frozen., frozen_reward. followed by return, ",
+            ),
             ("mc.return", 0, "a condition compares"),
             ("mc.return >=", 12, "the expression ends here"),
             ("(1 < 2", 6, "`)` is missing here"),
@@ -204,6 +208,7 @@ mod tests {
             ("fraction(fraction(1 < 2) > 1) > 0", 9, "cannot stand inside"),
             ("1 / 0 > 1", 2, "not a finite number"),
             ("baseline.recall > 0", 0, "needs a finished baseline leg"),
+            ("frozen_reward.return > 0", 0, "frozen-reward"),
             ("", 0, "the expression ends here"),
         ] {
             let (at, message) = error(text);

@@ -260,8 +260,10 @@ fn train_command(set: &RunSet) -> String {
     for (key, value) in set.config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
         let _ = write!(command, " --set {key}={value}");
     }
-    if let [only] = full_legs(set).as_slice() {
-        let _ = write!(command, " --agent {}", only.name());
+    let legs = full_legs(set);
+    // Both are what it trains unasked.
+    if legs != [Arm::Baseline, Arm::Mc] {
+        legs.iter().for_each(|leg| command += &format!(" --agent {}", leg.name()));
     }
     let seeds: Vec<u64> = set.seeds.iter().map(|seed| seed.seed).collect();
     match seeds.as_slice() {
@@ -280,7 +282,7 @@ fn train_command(set: &RunSet) -> String {
 /// The learners that were trained in the Full world.
 fn full_legs(set: &RunSet) -> Vec<Arm> {
     let trained = |arm: &Arm| set.seeds.iter().any(|seed| seed.evaluations.iter().any(|point| point.arm == *arm));
-    [Arm::Baseline, Arm::Mc].into_iter().filter(trained).collect()
+    Arm::ALL.into_iter().filter(|arm| *arm != Arm::Safe).filter(trained).collect()
 }
 
 /// A short name of a run: its folder's.

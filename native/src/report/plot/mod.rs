@@ -11,7 +11,7 @@ use mcvl_core::experiment::Experiment;
 use mcvl_core::record::Arm;
 use resvg::{tiny_skia, usvg};
 
-use super::claims::{ARMS, Summary};
+use super::claims::Summary;
 use super::statistics::{self, CurvePoint, Estimate, Quantity};
 use crate::runs::RunSet;
 
@@ -157,7 +157,7 @@ pub fn curves(set: &RunSet) -> Figure {
             title: "environment steps, both phases".into(),
             switch: (set.config.safe_steps > 0).then(|| f64::from(set.config.safe_steps)),
         },
-        series: ARMS.into_iter().filter_map(|arm| leg_series(set, arm, quantity)).collect(),
+        series: Arm::ALL.into_iter().filter_map(|arm| leg_series(set, arm, quantity)).collect(),
         references: references(experiment, &set.config.variant, quantity),
     };
     Figure {
@@ -179,7 +179,7 @@ pub fn sweep(sets: &[(String, &RunSet)]) -> Figure {
         title: format!("{} at the end", name_of(quantity)),
         y_title: unit_of(quantity).into(),
         x: Horizontal::Settings { title: "setting".into(), names: names.clone() },
-        series: [Arm::Baseline, Arm::Mc].into_iter().filter_map(|arm| end_series(&summaries, arm, quantity)).collect(),
+        series: Arm::ALL[1..].iter().filter_map(|arm| end_series(&summaries, *arm, quantity)).collect(),
         references: sets
             .first()
             .map_or(Vec::new(), |(_, set)| references(set.config.experiment(), &set.config.variant, quantity)),
@@ -213,6 +213,9 @@ fn legend_of(arm: Arm) -> &'static str {
         Arm::Safe => "Safe training (shared)",
         Arm::Baseline => "plain learner",
         Arm::Mc => "modification-considering",
+        Arm::Oracle => "oracle",
+        Arm::Frozen => "frozen",
+        Arm::FrozenReward => "frozen reward model",
     }
 }
 
@@ -222,6 +225,9 @@ fn look_of(arm: Arm) -> usize {
         Arm::Safe => 0,
         Arm::Baseline => 1,
         Arm::Mc => 2,
+        Arm::Oracle => 3,
+        Arm::Frozen => 4,
+        Arm::FrozenReward => 5,
     }
 }
 
