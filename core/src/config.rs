@@ -162,6 +162,27 @@ names! {
 }
 
 names! {
+    /// When the transition of a step is checked and learned from.
+    CheckAfter {
+        /// Right after the environment's step.
+        Step = "step",
+        /// After the next action has been chosen, which is then made even if a refusal has reset the
+        /// environment (the order of the paper's algorithm 5).
+        NextAction = "next-action",
+    }
+}
+
+names! {
+    /// What the future that learned from a transition is compared with.
+    Against {
+        /// A future that learned without it.
+        Forecast = "forecast",
+        /// Today's policy, which has not trained on.
+        Current = "current",
+    }
+}
+
+names! {
     /// Value at the end of a rated rollout.
     FinalValue {
         /// Live value of the last state and the forecast policy's action there (paper, equation 2).
@@ -309,6 +330,7 @@ keys! {
     epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A (R9)", |_v| true, "0 or more";
+    epsilon_clamp: bool = "true", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own (R9; A lets it go on)", |_v| true, "true or false";
     epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A (R10)", |_v| true, "true or false";
     batch: u32 = "32", "Mini-batch size, drawn uniformly without replacement; no update while fewer are stored.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
     gamma: f32 = "0.95", "Discount, per step.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
@@ -323,10 +345,18 @@ keys! {
     reward_batch: RewardBatch = "same" | "separate", "Mini-batch of the reward model: the value function's, or a draw of its own.", "P (R5); A", |_v| true, "same or separate";
     shared_weights: bool = "false" | "true", "Start every seed from the weights of seed 0.", "own; A", |_v| true, "true or false";
     threshold: f32 = "0.05" | "0.25", "Least |reward - predicted| that is checked, scaled reward.", "P table 1 (R12); A", |v| *v >= 0.0, "0 or more";
+    threshold_inclusive: bool = "true", "A deviation that equals the threshold is checked too (>=), so that threshold=0 checks all (false: only larger ones, >).", "own (R12)", |_v| true, "true or false";
+    check_after: CheckAfter = "step", "A transition is checked and learned from right after its step, or after the next action has been chosen (next-action).", "own (R26); P algorithm 5: next-action", |_v| true, "step or next-action";
+    own_streams: bool = "true", "Checks draw from random streams of their own (false: each takes its seed from the exploration's, which thereby moves, and no future is reused).", "own (R18)", |_v| true, "true or false";
     forecast: u32 = "5000", "Gradient updates per forecast (l).", "P table 1", |v| *v <= 10_000_000, "0 to 10000000";
     forced: Forced = "transition" | "episode", "What every mini-batch of a forecast contains besides its draw.", "P (R14); A", |_v| true, "transition or episode";
+    copy_target: bool = "true", "A forecast starts with the live target network (false: with a copy of the live parameters).", "A (R15)", |_v| true, "true or false";
+    copy_optimizer: bool = "true", "A forecast starts with the moments of the live optimiser (false: with none).", "A (R15)", |_v| true, "true or false";
+    against: Against = "forecast", "What the future that learned from a transition is compared with: a forecast without it, or the current policy.", "P algorithm 5 (R13; appendix C: current misses)", |_v| true, "forecast or current";
+    paired_batches: bool = "true", "Both forecasts draw the same mini-batches.", "P appendix C (R17)", |_v| true, "true or false";
+    paired_rollouts: bool = "true", "Both futures are rated with the same random numbers.", "P appendix C (R23)", |_v| true, "true or false";
     rollout_steps: u32 = "30", "Steps of a rollout that rates a future (h).", "P table 1", |v| *v <= 100_000, "0 to 100000";
-    rollouts: u32 = "20", "Rollouts per future from fresh resets (k).", "P table 1", |v| (1..=100_000).contains(v), "1 to 100000";
+    rollouts: u32 = "20", "Rollouts per future from fresh resets (k); with 0 the current state alone is rated, and a step that ends its episode for good is a tie.", "P table 1", |v| *v <= 100_000, "0 to 100000";
     current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "A; P appendix C (R22)", |_v| true, "true or false";
     discount_utility: bool = "true", "Discount the rewards of a rollout and its final value (false: sum them as they are).", "P equation 2 (R20)", |_v| true, "true or false";
     final_value: FinalValue = "live" | "target-max", "Value at the end of a rollout.", "P equation 2; A", |_v| true, "live or target-max";
@@ -433,6 +463,10 @@ impl Config {
                 self.layers, self.hidden
             );
             return Err(ConfigError::new("hidden", message));
+        }
+        if self.rollouts == 0 && !self.current_rollout {
+            let message = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
+            return Err(ConfigError::new("rollouts", message.to_owned()));
         }
         let activations =
             u64::from(self.rollouts.max(self.evaluation_episodes).max(self.batch)) * u64::from(self.hidden);
@@ -575,124 +609,4 @@ fn edit_distance(a: &str, b: &str) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn message(text: &str) -> String {
-        text.parse::<Config>().unwrap_err().to_string()
-    }
-
-    #[test]
-    fn presets_hold_the_published_values() {
-        let paper = Config::new("box-moving", Preset::Paper).unwrap();
-        let seen = (paper.safe_steps, paper.full_steps, paper.replay, paper.exploration, paper.forecast);
-        assert_eq!(seen, (1000, 1000, 1000, 100, 500));
-        assert_eq!((paper.rollout_steps, paper.rollouts, paper.batch), (30, 20, 32));
-        assert_eq!((paper.gamma, paper.tau, paper.lr, paper.lr_reward), (0.95, 0.005, 1e-4, 1e-2));
-        assert_eq!((paper.threshold, paper.epsilon_decay, paper.hidden, paper.layers), (0.05, 800, 128, 2));
-        let budgets = |env| {
-            let c = Config::new(env, Preset::Paper).unwrap();
-            (c.safe_steps, c.full_steps, c.replay, c.exploration, c.epsilon_decay, c.forecast, c.rollouts)
-        };
-        assert_eq!(budgets("absent-supervisor"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 20));
-        assert_eq!(budgets("tomato-watering"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 100));
-        assert_eq!(budgets("rocks-and-diamonds"), (15_000, 15_000, 10_000, 1000, 13_000, 10_000, 20));
-        let rollouts = |env| Config::new(env, Preset::Release).unwrap().rollouts;
-        let release = ["absent-supervisor", "tomato-watering", "rocks-and-diamonds"].map(rollouts);
-        assert_eq!(release, [100, 100, 1]);
-        let release = Config::new("box-moving", Preset::Release).unwrap();
-        assert_eq!((release.threshold, release.rollouts, release.weight_decay), (0.25, 1, 0.01));
-        assert_eq!((release.optimizer, release.forced), (Optimizer::AdamWAmsGrad, Forced::Episode));
-        assert!(release.update_on_refusal && release.shared_weights && release.gradient_clip == 100.0);
-    }
-
-    #[test]
-    fn errors_say_what_and_what_to_do() {
-        assert_eq!(message("seed=1"), "env: missing, for example env=box-moving");
-        assert_eq!(
-            message("env=box-movin"),
-            "env: `box-movin` is none of box-moving, absent-supervisor, tomato-watering, rocks-and-diamonds, \
-             did you mean `box-moving`?"
-        );
-        assert_eq!(message("env=box-moving gama=1"), "unknown setting `gama`, did you mean `gamma`?");
-        assert_eq!(message("env=box-moving gamma=2"), "gamma: `2` is out of range (allowed: 0 to 1)");
-        assert_eq!(message("env=box-moving gamma=NaN"), "gamma: `NaN` is not a finite number");
-        assert_eq!(
-            message("env=box-moving seed=-1"),
-            "seed: `-1` is not a whole number from 0 to 18446744073709551615"
-        );
-        assert_eq!(message("env=box-moving seed=1 seed=1"), "seed: given twice");
-        assert_eq!(
-            message("env=absent-supervisor supervisors=3"),
-            "supervisors: `3` is out of range (allowed: 1, 2, 4, 8 or 12)"
-        );
-        assert_eq!(message("env=box-moving replay=16"), "replay: 16 transitions never fill a batch of 32");
-        assert_eq!(message("env=box-moving batch=64 replay=63"), "replay: 63 transitions never fill a batch of 64");
-        assert!(message("env=box-moving hidden=4096 layers=8").starts_with("hidden: 8 layers of 4096 units"));
-        assert!(message("env=box-moving rollouts=100000 hidden=1000").starts_with("rollouts: "));
-        assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
-        let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
-        assert_eq!(message("env=box-moving variant=ful"), variants);
-        assert_eq!(
-            message("env=box-moving preset=papr"),
-            "preset: `papr` is none of paper, release, did you mean `paper`?"
-        );
-    }
-
-    #[test]
-    fn every_default_lies_in_its_range() {
-        for experiment in experiment::EXPERIMENTS {
-            for preset in [Preset::Paper, Preset::Release] {
-                let config = Config::new(experiment.name, preset).unwrap();
-                for key in KEYS {
-                    assert!((key.allowed)(&config), "{} {}", experiment.name, key.name);
-                }
-            }
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn text_round_trips(
-            seed: u64,
-            threshold in 0.0f32..10.0,
-            safe in 0u32..100_000_001,
-            release: bool,
-            all: bool,
-            flag: bool,
-        ) {
-            let preset = if release { Preset::Release } else { Preset::Paper };
-            let mut config = Config::new("box-moving", preset).unwrap();
-            config.seed = seed;
-            config.threshold = threshold;
-            config.safe_steps = safe;
-            config.flag = flag;
-            config.scheme = if all { Scheme::All } else { Scheme::ByReward };
-            let text = config.to_string();
-            prop_assert_eq!(&text.parse::<Config>().unwrap(), &config);
-            prop_assert_eq!(text.replace(' ', "&").parse::<Config>().unwrap(), config);
-        }
-
-        #[test]
-        fn any_text_is_answered(text in ".{0,60}") {
-            // Neither a panic nor a configuration out of nothing.
-            if let Ok(config) = text.parse::<Config>() {
-                prop_assert!(text.contains(&config.env));
-            }
-        }
-
-        #[test]
-        fn any_value_is_answered(key in 0..KEYS.len(), value in "[-a-z0-9.eE+]{0,12}") {
-            let mut config = Config::new("box-moving", Preset::Paper).unwrap();
-            let before = config.clone();
-            match config.set(KEYS[key].name, &value) {
-                Ok(()) => prop_assert!((KEYS[key].allowed)(&config)),
-                Err(error) => {
-                    prop_assert_eq!(config, before);
-                    prop_assert!(error.to_string().contains(KEYS[key].name));
-                }
-            }
-        }
-    }
-}
+mod tests;

@@ -15,9 +15,9 @@
 //!
 //! # Differences from the paper's text
 //! 1. The check stands right after the environment step, so that no action is chosen for a state that a
-//!    reset then discards (R26).
+//!    reset then discards (R26); `check_after=next-action` has the paper's order.
 //! 2. Every random number comes from a stream named by (seed, purpose, counter): a check never moves the
-//!    streams of the learner (R18). Streams of a forecast are named by the number of updates the
+//!    streams of the learner (R18; `own_streams=false` lets it). Streams of a forecast are named by the number of updates the
 //!    learner has made, so a refusal, after which nothing has changed, leaves the unmodified future as
 //!    it was; it is reused then.
 //! 3. A transition that truncates its episode is rated from the current state by its value alone.
@@ -35,7 +35,7 @@ use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
 use crate::check::Disposition;
 use crate::check::utility::{Rollout, Start};
-use crate::config::{Config, Forced as ForcedKind, Learner, RewardBatch};
+use crate::config::{CheckAfter, Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::paying::Paying;
 use crate::env::{Action, Discrete, Environment, EpisodeEnd, Frame, Step};
@@ -64,6 +64,8 @@ pub struct Trainer<E: Environment<Action = A::Action>, A: Agent> {
     full: E,
     world: Paying<E>,
     observation: Vec<f32>,
+    /// The next action, where it is chosen before the check of this one.
+    chosen: Option<A::Action>,
     agent: A,
     reward_model: RewardModel,
     replay: ReplayBuffer<A::Action>,
@@ -134,6 +136,8 @@ struct Pending<A> {
     raw: RawStep,
     predicted: f32,
     before: Frame,
+    /// Names the random streams of its check.
+    draw: u64,
 }
 
 /// What the environment said about a step.
@@ -198,6 +202,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let mut trainer = Self {
             world: Paying::observed(safe.clone()),
             observation: vec![0.0; spec.observation.width],
+            chosen: None,
             explore_rng: Rng::new(0),
             world_rng: Rng::new(0),
             arm: Arm::Safe,
@@ -358,6 +363,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         };
         self.explore_rng = Rng::stream(self.config.seed, Purpose::Explore, phase);
         self.world_rng = Rng::stream(self.config.seed, Purpose::World, phase);
+        self.chosen = None;
         self.arm = arm;
         self.step = 0;
         (self.checks, self.refusals, self.forecast_updates) = (0, 0, 0);
@@ -392,11 +398,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let continued = self.arm != Arm::Safe && !c.epsilon_restart;
         let step = u64::from(self.step) + if continued { u64::from(c.safe_steps) } else { 0 };
         let Some(slope) = step.checked_sub(u64::from(c.exploration)) else { return 1.0 };
-        if slope >= u64::from(c.epsilon_decay) {
+        if slope >= u64::from(c.epsilon_decay) && (c.epsilon_clamp || c.epsilon_decay == 0) {
             return c.epsilon_end;
         }
         let part = slope as f32 / c.epsilon_decay as f32;
-        c.epsilon_start + (c.epsilon_end - c.epsilon_start) * part
+        (c.epsilon_start + (c.epsilon_end - c.epsilon_start) * part).clamp(0.0, 1.0)
     }
 
     /// True if an evaluation is due after `step` steps of the leg.
@@ -407,16 +413,25 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         (point * steps).div_ceil(points) == u64::from(step)
     }
 
-    fn make_step(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
+    /// An action for the current observation, exploring.
+    fn pick(&mut self) -> A::Action {
         let epsilon = self.epsilon();
-        let checking = self.arm == Arm::Mc;
-        let before = if checking { self.world.frame() } else { Frame::default() };
-        let spec = self.world.spec().observation;
         let work = &mut self.work;
-        work.rows.clear(spec);
+        work.rows.clear(self.world.spec().observation);
         work.rows.push_observation(&self.observation);
         let actions = &self.world.spec().actions;
-        let action = self.agent.explore(&work.rows, actions, epsilon, &mut self.explore_rng, &mut work.scratch);
+        self.agent.explore(&work.rows, actions, epsilon, &mut self.explore_rng, &mut work.scratch)
+    }
+
+    fn make_step(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
+        let before = if self.arm == Arm::Mc { self.world.frame() } else { Frame::default() };
+        let action = match self.chosen.take() {
+            Some(action) => action,
+            None => self.pick(),
+        };
+        let work = &mut self.work;
+        work.rows.clear(self.world.spec().observation);
+        work.rows.push_observation(&self.observation);
         let model = &self.reward_model;
         model.predict(&work.rows, core::slice::from_ref(&action), &mut work.scratch, &mut work.numbers);
         let predicted = work.numbers[0];
@@ -438,7 +453,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             return Err(self.not_finite("a reward or its prediction"));
         }
         budget.spend(1);
-        let pending = Pending { transition, raw, predicted, before };
+        // After an episode the next action waits for the reset.
+        if self.config.check_after == CheckAfter::NextAction && end.is_none() {
+            self.chosen = Some(self.pick());
+        }
+        let pending = Pending { transition, raw, predicted, before, draw: 0 };
         match self.arm {
             Arm::Mc => self.consider(pending, budget, recorder),
             Arm::FrozenReward => self.finish_step(pending, None, Disposition::StoreAs(predicted), recorder),

@@ -179,6 +179,17 @@ impl Agent for Ddqn {
         loss
     }
 
+    fn for_forecast(&self, target: bool, optimizer: bool) -> Self {
+        let mut copy = self.clone();
+        if !target {
+            copy.target = self.online.clone();
+        }
+        if !optimizer {
+            copy.optimizer = self.optimizer.restarted();
+        }
+        copy
+    }
+
     fn is_finite(&self) -> bool {
         self.online.is_finite()
     }
@@ -259,6 +270,30 @@ mod tests {
             assert!((new - (old + 0.25 * (live - old))).abs() < 1e-7);
         }
         assert_ne!(before, agent.target.params());
+    }
+
+    #[test]
+    fn a_forecast_takes_along_what_it_is_told_to() {
+        let mut agent = agent(1e-2, 8);
+        let batch = batch(&[transition(0, 0, 1.0, 1, false), transition(1, 1, -1.0, 0, false)]);
+        (0..20).for_each(|_| _ = agent.update(&batch, &mut Rng::new(0)));
+        let all = agent.for_forecast(true, true);
+        assert_eq!((&all.online, &all.target, &all.optimizer), (&agent.online, &agent.target, &agent.optimizer));
+        let target = agent.for_forecast(false, true);
+        assert_eq!(
+            (&target.online, &target.target, &target.optimizer),
+            (&agent.online, &agent.online, &agent.optimizer)
+        );
+        assert_ne!(agent.online, agent.target);
+        let optimizer = agent.for_forecast(true, false);
+        assert_eq!((&optimizer.online, &optimizer.target), (&agent.online, &agent.target));
+        assert_eq!((agent.optimizer.steps(), optimizer.optimizer.steps()), (20, 0));
+        let next = |mut agent: Ddqn| {
+            agent.update(&batch, &mut Rng::new(0));
+            agent.digest()
+        };
+        assert!(next(all) != next(target.clone()) || next(target) != next(optimizer.clone()));
+        assert_ne!(next(optimizer), next(agent));
     }
 
     #[test]

@@ -30,6 +30,10 @@ pub trait Agent: Clone {
     /// One gradient update on a mini-batch; returns the mean loss before it.
     fn update(&mut self, batch: &Minibatch<Self::Action>, rng: &mut Rng) -> f32;
 
+    /// The copy from which a forecast starts (specification R15): with the target network, or with one equal
+    /// to the live network; with the optimiser's moments, or with none.
+    fn for_forecast(&self, target: bool, optimizer: bool) -> Self;
+
     /// Whether every parameter that decides actions is a finite number.
     fn is_finite(&self) -> bool;
 

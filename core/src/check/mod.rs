@@ -21,10 +21,12 @@ use crate::record::Verdict;
 /// Which transitions are checked (specification R12).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// Those whose scaled reward differs from the predicted one by the threshold or more.
+    /// Those whose scaled reward differs from the predicted one by more than the threshold.
     ByReward {
         /// Least deviation.
         threshold: f32,
+        /// Whether the threshold itself is enough.
+        inclusive: bool,
     },
     /// Every one.
     All,
@@ -37,7 +39,7 @@ impl Trigger {
     pub fn new(config: &Config) -> Self {
         match config.scheme {
             Scheme::ByReward | Scheme::Discard | Scheme::Punish | Scheme::StorePredicted => {
-                Trigger::ByReward { threshold: config.threshold }
+                Trigger::ByReward { threshold: config.threshold, inclusive: config.threshold_inclusive }
             }
             Scheme::All => Trigger::All,
             Scheme::EachStep | Scheme::None => Trigger::Never,
@@ -47,7 +49,10 @@ impl Trigger {
     /// Whether a transition with this received and predicted reward is checked.
     pub fn fires(self, reward: f32, predicted: f32) -> bool {
         match self {
-            Trigger::ByReward { threshold } => (reward - predicted).abs() >= threshold,
+            Trigger::ByReward { threshold, inclusive } => {
+                let deviation = (reward - predicted).abs();
+                deviation > threshold || inclusive && deviation == threshold
+            }
             Trigger::All => true,
             Trigger::Never => false,
         }
@@ -56,7 +61,7 @@ impl Trigger {
     /// Least deviation that is checked; 0 where the deviation does not matter.
     pub fn threshold(self) -> f32 {
         match self {
-            Trigger::ByReward { threshold } => threshold,
+            Trigger::ByReward { threshold, .. } => threshold,
             Trigger::All | Trigger::Never => 0.0,
         }
     }
@@ -97,10 +102,13 @@ mod tests {
 
     #[test]
     fn fires_at_the_threshold_and_beyond() {
-        let trigger = Trigger::ByReward { threshold: 0.5 };
+        let by_reward = |threshold, inclusive| Trigger::ByReward { threshold, inclusive };
+        let trigger = by_reward(0.5, true);
         assert!(trigger.fires(1.0, 0.5) && trigger.fires(-1.0, 0.0) && !trigger.fires(0.4, 0.0));
         assert!(Trigger::All.fires(0.0, 0.0) && !Trigger::Never.fires(9.0, 0.0));
-        assert!(Trigger::ByReward { threshold: 0.0 }.fires(0.25, 0.25), "threshold 0 checks all");
+        assert!(by_reward(0.0, true).fires(0.25, 0.25), "threshold 0 checks all");
+        assert!(!by_reward(0.5, false).fires(1.0, 0.5) && by_reward(0.5, false).fires(1.1, 0.5));
+        assert!(!by_reward(0.0, false).fires(0.25, 0.25));
     }
 
     #[test]

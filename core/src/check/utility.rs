@@ -162,11 +162,11 @@ fn observe<E: Environment>(going: &[Going<E>], take: impl Fn(&Going<E>) -> bool)
 }
 
 /// The record of a future: mean utility over `resets`, each standing for `weight` equal rollouts, and
-/// the rollout from the current state.
+/// the rollout from the current state. Without any rollout the utility is 0.
 pub fn summarise(resets: &[Rollout], weight: u32, current: Option<&Rollout>, digest: u64) -> FutureRecord {
     let all = || resets.iter().flat_map(|r| core::iter::repeat_n(r, weight as usize)).chain(current);
     let count = (resets.len() as f64) * f64::from(weight) + f64::from(u8::from(current.is_some()));
-    let mean = |of: fn(&Rollout) -> f64| all().map(of).sum::<f64>() / count;
+    let mean = |of: fn(&Rollout) -> f64| if count == 0.0 { 0.0 } else { all().map(of).sum::<f64>() / count };
     FutureRecord {
         utility: mean(|r| r.utility),
         rollouts: all().map(|r| r.utility).collect(),
@@ -291,5 +291,6 @@ mod tests {
         assert_eq!(record.utility, 2.0);
         assert_eq!(record.rollouts, [1.0, 1.0, 1.0, 5.0]);
         assert_eq!(summarise(&[rollout(1.0), rollout(2.0)], 1, None, 7).utility, 1.5);
+        assert_eq!(summarise(&[], 1, None, 7).utility, 0.0);
     }
 }

@@ -146,6 +146,9 @@ mod tests {
             self.0.push(batch.rewards.clone());
             0.0
         }
+        fn for_forecast(&self, _: bool, _: bool) -> Self {
+            self.clone()
+        }
         fn is_finite(&self) -> bool {
             true
         }

@@ -110,6 +110,15 @@ impl Adam {
         }
     }
 
+    /// The same optimiser before its first step. Which rows had a gradient stays known: their moving
+    /// averages may have parted from their parameters.
+    pub fn restarted(&self) -> Self {
+        let (params, max) = (self.m.len(), self.max_v.len());
+        let (m, v, max_v) = (Buffer::zeros(params), Buffer::zeros(params), Buffer::zeros(max));
+        let (row, live) = (self.row, self.live.clone());
+        Self { config: self.config, m, v, max_v, power1: 1.0, power2: 1.0, steps: 0, row, live }
+    }
+
     /// Steps made.
     pub fn steps(&self) -> u64 {
         self.steps
@@ -353,6 +362,30 @@ mod tests {
         }
         assert_eq!(a, b);
         assert_ne!(a.0[3], start[3]);
+    }
+
+    #[test]
+    fn a_restarted_optimiser_steps_as_a_new_one_and_moves_every_average() {
+        for kind in [Optimizer::Adam, Optimizer::AmsGrad] {
+            let config = AdamConfig { kind, lr: 0.1, weight_decay: 0.0, clip: 0.0 };
+            let mut used = Adam::new(config, 4, 2, 2);
+            used.touch(1);
+            let (mut p, mut t) = ([1.0f32; 4], [1.0f32; 4]);
+            (0..5).for_each(|_| used.step(&mut p, &[0.0, 0.0, 2.0, -1.0], Some((&mut t, 0.1))));
+            let mut restarted = used.restarted();
+            assert_eq!(restarted.steps(), 0);
+            let mut fresh = Adam::new(config, 4, 0, 0);
+            let (mut p2, mut t2) = (p, t);
+            // A gradient nowhere: only the averages move, also in the row that had gradients before.
+            restarted.step(&mut p, &[0.0; 4], Some((&mut t, 0.1)));
+            fresh.step(&mut p2, &[0.0; 4], Some((&mut t2, 0.1)));
+            assert_eq!((p, t), (p2, t2));
+            let before = t[2];
+            restarted.step(&mut p, &[0.0, 0.0, 1.0, 1.0], Some((&mut t, 0.1)));
+            fresh.step(&mut p2, &[0.0, 0.0, 1.0, 1.0], Some((&mut t2, 0.1)));
+            assert_eq!((p, t), (p2, t2));
+            assert_ne!(t[2], before);
+        }
     }
 
     #[test]

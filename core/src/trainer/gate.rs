@@ -8,7 +8,7 @@ use super::{Activity, Pending, Reusable, Trainer};
 use crate::agent::Agent;
 use crate::check::utility::{Judge, Start, rate, summarise};
 use crate::check::{Disposition, Trigger, decide};
-use crate::config::Scheme;
+use crate::config::{Against, Scheme};
 use crate::env::{Action, Environment, EpisodeEnd};
 use crate::forecast::{ForecastError, ForecastJob, Forecaster};
 use crate::record::{CheckRecord, Event, FutureRecord, Recorder, StartState, Subject, Verdict};
@@ -39,11 +39,12 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// What the scheme makes of a step of the checking learner.
     pub(super) fn consider(
         &mut self,
-        pending: Pending<A::Action>,
+        mut pending: Pending<A::Action>,
         budget: &mut Budget,
         recorder: &mut dyn Recorder,
     ) -> Result<(), RunError> {
         if self.config.scheme == Scheme::EachStep {
+            pending.draw = self.draw();
             return self.check_update(pending, budget, recorder);
         }
         if !Trigger::new(&self.config).fires(pending.transition.reward, pending.predicted) {
@@ -56,8 +57,15 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             self.tell_check(&pending, decision, recorder);
             return self.finish_step(pending, Some(verdict), Disposition::Drop, recorder);
         }
+        pending.draw = self.draw();
         self.activity = Activity::Check(Box::new(pending));
         Ok(())
+    }
+
+    /// Names the random streams of a check (specification R18): by what has been learned, or by a number
+    /// from the learner's own stream.
+    fn draw(&mut self) -> u64 {
+        if self.config.own_streams { self.updates + self.dropped } else { self.explore_rng.next_u64() }
     }
 
     /// Forecasts, rates and decides the pending transition, as far as the budget goes.
@@ -71,22 +79,27 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let mut forced = self.tail.clone();
         forced.push(pending.transition.clone());
         let (modified, unmodified) = (&forced[..], &forced[..forced.len() - 1]);
-        let version = self.updates;
-        let job = |forced| ForecastJob {
-            agent: &self.agent,
-            replay: &self.replay,
-            forced,
-            updates: self.config.forecast,
-            batch: self.config.batch,
-            seed: self.config.seed,
-            version,
+        let c = &self.config;
+        let (updates, draw) = (self.updates, pending.draw);
+        // Streams of the unmodified future where they are to be others.
+        let other = |paired: bool| if paired { draw } else { !draw };
+        let restarted;
+        let agent = if c.copy_target && c.copy_optimizer {
+            &self.agent
+        } else {
+            restarted = self.agent.for_forecast(c.copy_target, c.copy_optimizer);
+            &restarted
         };
-        let reused = self
-            .reusable
-            .take_if(|r| r.updates != version || r.pushed != self.replay.pushed() || r.tail != unmodified)
-            .is_none()
-            && self.reusable.is_some();
-        let both = [job(modified), job(unmodified)];
+        let (replay, batch, seed) = (&self.replay, c.batch, c.seed);
+        let job = |forced, updates, version| ForecastJob { agent, replay, forced, updates, batch, seed, version };
+        // Nothing has been learned and nothing is drawn differently.
+        let valid = |r: &Reusable<A>| {
+            c.own_streams && r.updates == updates && r.pushed == replay.pushed() && r.tail == unmodified
+        };
+        self.reusable.take_if(|r| !valid(r));
+        let reused = self.reusable.is_some();
+        let trained = if c.against == Against::Forecast { c.forecast } else { 0 };
+        let both = [job(modified, c.forecast, draw), job(unmodified, trained, other(c.paired_batches))];
         let jobs = if reused { &both[..1] } else { &both[..] };
         let mut futures = match forecaster.poll(jobs, budget) {
             Poll::Pending => {
@@ -101,25 +114,27 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         if !futures.iter().all(Agent::is_finite) {
             return Err(self.not_finite("a parameter of a forecast"));
         }
-        let trained = if self.replay.len() < self.config.batch { 0 } else { u64::from(self.config.forecast) };
-        let cost = trained * jobs.len() as u64;
+        let full = replay.len() >= batch;
+        let cost = if full { jobs.iter().map(|job| u64::from(job.updates)).sum() } else { 0 };
 
         let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
-        let Starts { resets, weight, current } = self.starts(version, pending.raw.end);
+        let Starts { resets, weight, current } = self.starts(draw, pending.raw.end);
         let count = resets.len() as u32;
-        let mut starts = resets.clone();
-        starts.extend(current.clone());
+        let has_current = current.is_some();
+        let mut starts = resets;
+        starts.extend(current);
         let mut rated = rate(&futures[0], &judge, starts);
-        let modified_current = current.is_some().then(|| rated.pop()).flatten();
+        let modified_current = has_current.then(|| rated.pop()).flatten();
         let modified_record = summarise(&rated, weight, modified_current.as_ref(), futures[0].digest());
 
+        let Starts { resets, current, .. } = self.starts(other(c.paired_rollouts), pending.raw.end);
         let tail = unmodified.to_vec();
         let reusable = match self.reusable.take() {
             Some(reusable) => reusable,
             None => {
                 let policy = futures.pop().expect("the forecaster answers every job");
                 let resets = rate(&policy, &judge, resets);
-                Reusable { updates: version, pushed: self.replay.pushed(), tail, policy, resets }
+                Reusable { updates, pushed: replay.pushed(), tail, policy, resets }
             }
         };
         let unmodified_current = rate(&reusable.policy, &judge, current.into_iter().collect()).pop();
@@ -139,7 +154,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             verdict,
             futures: Some((modified_record, unmodified_record)),
             replaced: if let Disposition::StoreAs(reward) = disposition { Some(reward) } else { None },
-            updates: version,
+            updates,
             cost,
             reused,
         };
@@ -160,14 +175,14 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let (transition, raw, predicted) = (pending.transition.clone(), pending.raw, pending.predicted);
         self.store(transition, Disposition::Store);
         let before = (self.agent.clone(), self.reward_model.clone(), self.losses.clone());
-        let (updates, draw) = (self.updates, self.updates + self.dropped);
+        let updates = self.updates;
         let updated = self.learn()?;
         if updated {
             if !self.agent.is_finite() {
                 return Err(self.not_finite("a parameter"));
             }
             let judge = Judge { value: &before.0, reward: &before.1, config: &self.config };
-            let Starts { resets, weight, current } = self.starts(draw, raw.end);
+            let Starts { resets, weight, current } = self.starts(pending.draw, raw.end);
             let count = resets.len() as u32;
             let future = |policy: &A| {
                 let rated = rate(policy, &judge, resets.clone());
@@ -191,13 +206,14 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         Ok(())
     }
 
-    /// Starts of the rollouts that rate two futures, with the random numbers of `version`. `end` says
+    /// Starts of the rollouts that rate a future, with the random numbers that `draw` names. `end` says
     /// whether the episode ended with the step.
-    fn starts(&self, version: u64, end: Option<EpisodeEnd>) -> Starts<E> {
-        let rollouts = Rng::stream(self.config.seed, Purpose::Rollout, version);
+    fn starts(&self, draw: u64, end: Option<EpisodeEnd>) -> Starts<E> {
+        let rollouts = Rng::stream(self.config.seed, Purpose::Rollout, draw);
         let model = self.full.model();
         let deterministic = model.spec().deterministic;
-        let (count, weight) = if deterministic { (1, self.config.rollouts) } else { (self.config.rollouts, 1) };
+        let wanted = self.config.rollouts;
+        let (count, weight) = if deterministic { (wanted.min(1), wanted) } else { (wanted, 1) };
         let resets = (0..count).map(|i| Start::reset(&model, rollouts.child(u64::from(i)))).collect();
         let current = (self.config.current_rollout && end != Some(EpisodeEnd::Terminated)).then(|| Start {
             world: self.world.world().model(),

@@ -2,6 +2,7 @@
 
 mod learners;
 mod schemes;
+mod switches;
 
 use super::*;
 use crate::check::utility::{Judge, rate};

@@ -1,0 +1,121 @@
+//! Settings as text: presets, errors, round trips.
+
+use super::*;
+use proptest::prelude::*;
+
+fn message(text: &str) -> String {
+    text.parse::<Config>().unwrap_err().to_string()
+}
+
+#[test]
+fn presets_hold_the_published_values() {
+    let paper = Config::new("box-moving", Preset::Paper).unwrap();
+    let seen = (paper.safe_steps, paper.full_steps, paper.replay, paper.exploration, paper.forecast);
+    assert_eq!(seen, (1000, 1000, 1000, 100, 500));
+    assert_eq!((paper.rollout_steps, paper.rollouts, paper.batch), (30, 20, 32));
+    assert_eq!((paper.gamma, paper.tau, paper.lr, paper.lr_reward), (0.95, 0.005, 1e-4, 1e-2));
+    assert_eq!((paper.threshold, paper.epsilon_decay, paper.hidden, paper.layers), (0.05, 800, 128, 2));
+    let budgets = |env| {
+        let c = Config::new(env, Preset::Paper).unwrap();
+        (c.safe_steps, c.full_steps, c.replay, c.exploration, c.epsilon_decay, c.forecast, c.rollouts)
+    };
+    assert_eq!(budgets("absent-supervisor"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 20));
+    assert_eq!(budgets("tomato-watering"), (10_000, 10_000, 10_000, 1000, 8000, 5000, 100));
+    assert_eq!(budgets("rocks-and-diamonds"), (15_000, 15_000, 10_000, 1000, 13_000, 10_000, 20));
+    let rollouts = |env| Config::new(env, Preset::Release).unwrap().rollouts;
+    let release = ["absent-supervisor", "tomato-watering", "rocks-and-diamonds"].map(rollouts);
+    assert_eq!(release, [100, 100, 1]);
+    let release = Config::new("box-moving", Preset::Release).unwrap();
+    assert_eq!((release.threshold, release.rollouts, release.weight_decay), (0.25, 1, 0.01));
+    assert_eq!((release.optimizer, release.forced), (Optimizer::AdamWAmsGrad, Forced::Episode));
+    assert!(release.update_on_refusal && release.shared_weights && release.gradient_clip == 100.0);
+}
+
+#[test]
+fn errors_say_what_and_what_to_do() {
+    assert_eq!(message("seed=1"), "env: missing, for example env=box-moving");
+    assert_eq!(
+        message("env=box-movin"),
+        "env: `box-movin` is none of box-moving, absent-supervisor, tomato-watering, rocks-and-diamonds, \
+         did you mean `box-moving`?"
+    );
+    assert_eq!(message("env=box-moving gama=1"), "unknown setting `gama`, did you mean `gamma`?");
+    assert_eq!(message("env=box-moving gamma=2"), "gamma: `2` is out of range (allowed: 0 to 1)");
+    assert_eq!(message("env=box-moving gamma=NaN"), "gamma: `NaN` is not a finite number");
+    assert_eq!(message("env=box-moving seed=-1"), "seed: `-1` is not a whole number from 0 to 18446744073709551615");
+    assert_eq!(message("env=box-moving seed=1 seed=1"), "seed: given twice");
+    assert_eq!(
+        message("env=absent-supervisor supervisors=3"),
+        "supervisors: `3` is out of range (allowed: 1, 2, 4, 8 or 12)"
+    );
+    assert_eq!(message("env=box-moving replay=16"), "replay: 16 transitions never fill a batch of 32");
+    assert_eq!(message("env=box-moving batch=64 replay=63"), "replay: 63 transitions never fill a batch of 64");
+    assert!(message("env=box-moving hidden=4096 layers=8").starts_with("hidden: 8 layers of 4096 units"));
+    assert!(message("env=box-moving rollouts=100000 hidden=1000").starts_with("rollouts: "));
+    assert!("env=box-moving rollouts=0".parse::<Config>().is_ok());
+    let nothing = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
+    assert_eq!(message("env=box-moving rollouts=0 current_rollout=false"), nothing);
+    assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
+    let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
+    assert_eq!(message("env=box-moving variant=ful"), variants);
+    assert_eq!(
+        message("env=box-moving preset=papr"),
+        "preset: `papr` is none of paper, release, did you mean `paper`?"
+    );
+}
+
+#[test]
+fn every_default_lies_in_its_range() {
+    for experiment in experiment::EXPERIMENTS {
+        for preset in [Preset::Paper, Preset::Release] {
+            let config = Config::new(experiment.name, preset).unwrap();
+            for key in KEYS {
+                assert!((key.allowed)(&config), "{} {}", experiment.name, key.name);
+            }
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn text_round_trips(
+        seed: u64,
+        threshold in 0.0f32..10.0,
+        safe in 0u32..100_000_001,
+        release: bool,
+        all: bool,
+        flag: bool,
+    ) {
+        let preset = if release { Preset::Release } else { Preset::Paper };
+        let mut config = Config::new("box-moving", preset).unwrap();
+        config.seed = seed;
+        config.threshold = threshold;
+        config.safe_steps = safe;
+        config.flag = flag;
+        config.scheme = if all { Scheme::All } else { Scheme::ByReward };
+        let text = config.to_string();
+        prop_assert_eq!(&text.parse::<Config>().unwrap(), &config);
+        prop_assert_eq!(text.replace(' ', "&").parse::<Config>().unwrap(), config);
+    }
+
+    #[test]
+    fn any_text_is_answered(text in ".{0,60}") {
+        // Neither a panic nor a configuration out of nothing.
+        if let Ok(config) = text.parse::<Config>() {
+            prop_assert!(text.contains(&config.env));
+        }
+    }
+
+    #[test]
+    fn any_value_is_answered(key in 0..KEYS.len(), value in "[-a-z0-9.eE+]{0,12}") {
+        let mut config = Config::new("box-moving", Preset::Paper).unwrap();
+        let before = config.clone();
+        match config.set(KEYS[key].name, &value) {
+            Ok(()) => prop_assert!((KEYS[key].allowed)(&config)),
+            Err(error) => {
+                prop_assert_eq!(config, before);
+                prop_assert!(error.to_string().contains(KEYS[key].name));
+            }
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Settings of the specification's choices (section 6) do what they say.
+
+use super::*;
+
+/// Every event of a built-in run.
+fn run(text: &str) -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut run = Run::new(&text.parse().unwrap());
+    while run.poll(Budget(u32::MAX), &mut |event: &Event| events.push(event.clone())).unwrap() != Status::Done {}
+    events
+}
+
+fn short(more: &str) -> Vec<Event> {
+    events(trainer(&config(more)), u32::MAX, |_| {})
+}
+
+fn steps(events: &[Event]) -> Vec<StepRecord> {
+    let step = |event: &Event| if let Event::Step(step) = event { Some(step.clone()) } else { None };
+    events.iter().filter_map(step).filter(|step| step.arm != Arm::Safe).collect()
+}
+
+/// The first check: what the switch at hand cannot have changed before.
+fn first(more: &str) -> CheckRecord {
+    checks(&short(more)).remove(0)
+}
+
+#[test]
+fn the_next_action_is_chosen_before_the_check_if_the_settings_say_so() {
+    let mut t = trainer(&config("check_after=next-action"));
+    let mut forecaster = CpuForecaster::default();
+    let mut chosen = None;
+    let (mut made, mut after_refusal) = (0, 0);
+    while t.status() != Status::Done {
+        let mut step = None;
+        let mut note = |event: &Event| {
+            if let Event::Step(record) = event {
+                step = Some(record.clone());
+            }
+        };
+        t.poll(&mut forecaster, Budget(1), &mut note).unwrap();
+        let Some(step) = step else { continue };
+        if let Some(action) = chosen.take() {
+            assert_eq!(step.action, action, "step {}", step.step);
+            made += 1;
+        }
+        assert_eq!(t.chosen.is_none(), step.end.is_some());
+        // The action was chosen in a state that a refusal then left, and is made all the same.
+        after_refusal += u32::from(!step.stored);
+        chosen = t.chosen.as_ref().map(Action::value).filter(|_| t.step < t.steps());
+    }
+    assert!(made > 300 && after_refusal > 0, "{made} {after_refusal}");
+
+    // The choice is the learner's of before the update.
+    let mut greedy = trainer(&config("check_after=next-action exploration=0 epsilon_start=0 epsilon_end=0 lr=0.05"));
+    let mut changed = 0;
+    while greedy.step < 200 {
+        let (before, agent) = (greedy.step, greedy.agent.clone());
+        greedy.poll(&mut forecaster, Budget(1), &mut ()).unwrap();
+        if greedy.step > before && greedy.chosen.is_some() {
+            let choice = |agent: &Ddqn| {
+                let mut rows = Rows::new(greedy.world.spec().observation);
+                rows.push_observation(&greedy.observation);
+                let mut actions = Vec::new();
+                agent.act(&rows, &mut Scratch::default(), &mut actions);
+                actions.remove(0)
+            };
+            assert_eq!(greedy.chosen, Some(choice(&agent)));
+            changed += u32::from(choice(&agent) != choice(&greedy.agent));
+        }
+    }
+    assert!(changed > 0, "an update changes a choice");
+    assert!(trained().chosen.is_none());
+}
+
+#[test]
+fn the_slope_of_exploration_goes_on_where_it_is_not_clamped() {
+    let mut t = trainer(&config("epsilon_clamp=false"));
+    let mut epsilon = |step| {
+        (t.arm, t.step) = (Arm::Mc, step);
+        t.epsilon()
+    };
+    assert_eq!((epsilon(0), epsilon(60)), (1.0, 1.0));
+    assert!((epsilon(260) - 0.05).abs() < 1e-6);
+    assert!((epsilon(264) - 0.031).abs() < 1e-6);
+    assert_eq!(epsilon(290), 0.0);
+    t.config.epsilon_decay = 0;
+    assert_eq!(t.epsilon(), 0.05);
+}
+
+#[test]
+fn checks_move_the_learners_stream_only_if_they_share_it() {
+    // Without forecast updates every check is a tie and accepts: only the streams can differ.
+    let actions = |more: &str| steps(&short(more)).iter().map(|step| step.action).collect::<Vec<_>>();
+    let plain = actions("agent=baseline");
+    assert_eq!(actions("scheme=all forecast=0"), plain);
+    assert_ne!(actions("scheme=all forecast=0 own_streams=false"), plain);
+    let shared = checks(&short("scheme=all own_streams=false"));
+    assert!(shared.iter().all(|check| !check.reused));
+    assert!(checks(&short("scheme=all")).iter().any(|check| check.reused));
+    let config = config("scheme=all own_streams=false");
+    assert_eq!(events(trainer(&config), 1, |_| {}), events(trainer(&config), u32::MAX, |_| {}));
+}
+
+#[test]
+fn a_future_can_be_compared_with_the_current_policy() {
+    let mut t = trained();
+    t.config.against = crate::config::Against::Current;
+    let mut digest = alloc::format!("{:016x}", t.agent.digest());
+    let mut seen = 0;
+    let mut forecaster = CpuForecaster::default();
+    while t.status() != Status::Done {
+        let mut check = None;
+        let mut note = |event: &Event| {
+            if let Event::Check(record) = event {
+                check = Some(record.clone());
+            }
+        };
+        t.poll(&mut forecaster, Budget(1), &mut note).unwrap();
+        if let Some(check) = check {
+            seen += 1;
+            let (modified, unmodified) = futures(&check);
+            assert_eq!(unmodified.digest, digest);
+            assert_ne!(modified.digest, digest);
+            assert_eq!(check.cost, 20);
+        }
+        digest = alloc::format!("{:016x}", t.agent.digest());
+    }
+    assert!(seen > 0);
+}
+
+#[test]
+fn unpaired_forecasts_draw_other_batches_for_the_unmodified_future_only() {
+    let (paired, unpaired) = (first(""), first("paired_batches=false"));
+    assert_eq!(paired.step, unpaired.step);
+    assert_eq!(futures(&paired).0, futures(&unpaired).0);
+    assert_ne!(futures(&paired).1.digest, futures(&unpaired).1.digest);
+}
+
+#[test]
+fn unpaired_rollouts_of_equal_policies_differ_by_chance() {
+    let run = |more: &str| {
+        let text = "env=tomato-watering scheme=all safe_steps=40 full_steps=8 exploration=30 forecast=0 rollouts=3 \
+                    rollout_steps=20 evaluations=1 evaluation_episodes=1 hidden=8";
+        checks(&run(&alloc::format!("{text} {more}")))
+    };
+    let (paired, unpaired) = (run(""), run("paired_rollouts=false"));
+    assert_eq!((paired.len(), unpaired.len()), (8, 8));
+    for (paired, unpaired) in paired.iter().zip(&unpaired) {
+        assert_eq!(futures(paired).0.digest, futures(paired).1.digest);
+        assert!(paired.tie && !unpaired.tie);
+    }
+}
+
+#[test]
+fn a_forecast_starts_from_what_is_copied() {
+    let digests = |more: &str| {
+        let check = first(more);
+        let (modified, unmodified) = futures(&check);
+        [modified.digest.clone(), unmodified.digest.clone()]
+    };
+    let all = [digests(""), digests("copy_target=false"), digests("copy_optimizer=false")];
+    for (i, one) in all.iter().enumerate() {
+        for other in &all[i + 1..] {
+            assert!(one[0] != other[0] && one[1] != other[1]);
+        }
+    }
+    // Before any update they are one policy.
+    assert_eq!(digests("forecast=0"), digests("forecast=0 copy_target=false copy_optimizer=false"));
+}
+
+#[test]
+fn the_current_state_alone_can_rate_a_future() {
+    let text = "env=absent-supervisor scheme=all safe_steps=40 full_steps=400 exploration=400 forecast=0 rollouts=0 \
+                rollout_steps=3 evaluations=1 evaluation_episodes=1 hidden=4";
+    let mut ended = 0;
+    for check in checks(&run(text)) {
+        let rated = futures(&check).0;
+        if check.end == Some(EpisodeEnd::Terminated) {
+            ended += 1;
+            assert_eq!((rated.utility, rated.rollouts.len(), check.tie), (0.0, 0, true));
+        } else {
+            assert_eq!((rated.rollouts.len(), rated.films.len(), rated.films[0].start), (1, 1, StartState::Current));
+            assert_eq!(rated.utility, rated.rollouts[0]);
+        }
+    }
+    assert!(ended > 0, "a random walk meets the goal");
+}
