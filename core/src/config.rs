@@ -350,6 +350,9 @@ keys! {
     own_streams: bool = "true", "Checks draw from random streams of their own (false: each takes its seed from the exploration's, which thereby moves, and no future is reused).", "own (R18)", |_v| true, "true or false";
     forecast: u32 = "5000", "Gradient updates per forecast (l).", "P table 1", |v| *v <= 10_000_000, "0 to 10000000";
     forced: Forced = "transition" | "episode", "What every mini-batch of a forecast contains besides its draw.", "P (R14); A", |_v| true, "transition or episode";
+    practice: bool = "false", "Forecasts also practise: each update is followed by a step in a copy of the world, from the state after the checked step on, stored in a copy of the replay buffer with the reward that a copy of the reward model predicts.", "P table 1; procedure A (R27)", |_v| true, "true or false";
+    practice_reward_updates: u32 = "10000", "Updates of that copy of the reward model before a forecast practises.", "A (R27)", |v| *v <= 10_000_000, "0 to 10000000";
+    practice_epsilon: f32 = "0.5", "Probability of a random action in practice.", "A (R27)", |v| (0.0..=1.0).contains(v), "0 to 1";
     copy_target: bool = "true", "A forecast starts with the live target network (false: with a copy of the live parameters).", "A (R15)", |_v| true, "true or false";
     copy_optimizer: bool = "true", "A forecast starts with the moments of the live optimiser (false: with none).", "A (R15)", |_v| true, "true or false";
     against: Against = "forecast", "What the future that learned from a transition is compared with: a forecast without it, or the current policy.", "P algorithm 5 (R13; appendix C: current misses)", |_v| true, "forecast or current";

@@ -21,7 +21,7 @@ use crate::digest::Digest;
 use crate::env::box_moving::{BoxMoving, Variant};
 use crate::env::{Action, Discrete, Environment, ObservationSpec};
 use crate::forecast::cpu::CpuForecaster;
-use crate::forecast::{ForecastJob, Forecaster};
+use crate::forecast::{ForecastJob, Forecaster, Practice};
 use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
 use crate::record::Event;
@@ -39,6 +39,7 @@ pub const COMMITTED: &[(&str, u64)] = &[
     ("update", 0x9757_9cc6_b25a_59ce),
     ("updates-500", 0x997b_e0e6_1809_7dc8),
     ("forecast", 0x7efa_41e7_0463_96b7),
+    ("practice", 0x2609_e5f7_3835_be3b),
     ("utility", 0x6318_4518_3143_23b5),
     ("verdicts", 0xf8a6_5aa5_d2df_ec6e),
     ("run", 0x48e5_5c04_6bb3_0c55),
@@ -52,7 +53,8 @@ pub fn digests() -> Vec<(&'static str, u64)> {
         ("forward", forward()),
         ("update", fixture.updates(1)),
         ("updates-500", fixture.updates(500)),
-        ("forecast", fixture.forecast().digest()),
+        ("forecast", fixture.forecast(None).digest()),
+        ("practice", fixture.practice().digest()),
         ("utility", fixture.utility()),
         ("verdicts", verdicts),
         ("run", run),
@@ -130,9 +132,9 @@ impl Fixture {
     }
 
     /// A future with one forced transition.
-    fn forecast(&self) -> Ddqn {
+    fn forecast(&self, practice: Option<Practice<'_, BoxMoving>>) -> Ddqn {
         let forced = [self.replay.get(7)];
-        let job = ForecastJob {
+        let job = ForecastJob::<BoxMoving, _> {
             agent: &self.agent,
             replay: &self.replay,
             forced: &forced,
@@ -140,6 +142,7 @@ impl Fixture {
             batch: 32,
             seed: 11,
             version: 3,
+            practice,
         };
         match CpuForecaster::default().poll(&[job], &mut Budget(u32::MAX)) {
             Poll::Ready(Ok(mut futures)) => futures.remove(0),
@@ -148,12 +151,25 @@ impl Fixture {
         }
     }
 
-    /// Utilities of that future by the untrained judge.
+    /// The same future, practising from the start of an episode.
+    fn practice(&self) -> Ddqn {
+        let start = Start::reset(&self.world, Rng::new(0));
+        self.forecast(Some(Practice {
+            world: &start.world,
+            observation: &start.observation,
+            ended: false,
+            reward_model: &self.reward_model,
+            reward_updates: 50,
+            epsilon: 0.5,
+        }))
+    }
+
+    /// Utilities of the future without practice by the untrained judge.
     fn utility(&self) -> u64 {
         let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
         let stream = Rng::stream(11, Purpose::Rollout, 3);
         let starts = (0..2).map(|i| Start::reset(&self.world, stream.child(i))).collect();
-        let rollouts = rate(&self.forecast(), &judge, starts);
+        let rollouts = rate(&self.forecast(None), &judge, starts);
         rollouts.iter().fold(Digest::default(), |digest, r| digest.f64(r.utility)).finish()
     }
 }

@@ -323,7 +323,7 @@ pub struct CheckRecord {
     pub replaced: Option<f32>,
     /// True where the two futures are rated exactly equal.
     pub tie: bool,
-    /// Gradient updates that the forecasts cost.
+    /// Gradient updates that the forecasts cost, those of copies of the reward model included.
     pub cost: u64,
     /// True where the unmodified future was reused from the check before (nothing had been learned).
     pub reused: bool,

@@ -33,6 +33,12 @@ pub enum Purpose {
     RewardBatch = 10,
     /// Anything an application draws for itself.
     Application = 11,
+    /// Mini-batch indices of the reward model's copy in a forecast that practises.
+    PracticeBatch = 12,
+    /// Exploration of a forecast that practises.
+    PracticeExplore = 13,
+    /// The copy of the world in which a forecast practises.
+    PracticeWorld = 14,
 }
 
 /// Seeded generator: xoshiro256++. `Clone` forks it: the copy continues with the same numbers.

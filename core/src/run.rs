@@ -179,7 +179,7 @@ impl Clone for Box<dyn Erased> {
 #[derive(Clone)]
 struct Typed<E: Environment<Action = Discrete>> {
     trainer: Trainer<E, Ddqn>,
-    forecaster: CpuForecaster<Ddqn>,
+    forecaster: CpuForecaster<E, Ddqn>,
 }
 
 impl<E> Erased for Typed<E>

@@ -304,7 +304,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// forecaster fails: the poll can then be repeated with another one.
     pub fn poll(
         &mut self,
-        forecaster: &mut dyn Forecaster<A>,
+        forecaster: &mut dyn Forecaster<E, A>,
         budget: Budget,
         recorder: &mut dyn Recorder,
     ) -> Result<Status, RunError> {
@@ -317,7 +317,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
 
     fn work(
         &mut self,
-        forecaster: &mut dyn Forecaster<A>,
+        forecaster: &mut dyn Forecaster<E, A>,
         mut budget: Budget,
         recorder: &mut dyn Recorder,
     ) -> Result<Status, RunError> {

@@ -14,6 +14,7 @@ use mcvl_core::agent::Agent as _;
 use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::agent::reward_model::RewardModel;
 use mcvl_core::config::{Config, ConfigError, Learner, Preset};
+use mcvl_core::env::box_moving::BoxMoving;
 use mcvl_core::env::{Action as _, Discrete, EpisodeEnd};
 use mcvl_core::forecast::cpu::CpuForecaster;
 use mcvl_core::forecast::{ForecastJob, Forecaster as _};
@@ -169,6 +170,7 @@ impl Bench {
         let batch = self.config.batch;
         let forced = self.agent.update_work(batch + 1);
         let case = |name: String, work, worker| Case { name, work, worker };
+        let practice = if self.config.practice { " with practice" } else { "" };
         vec![
             case("value update".into(), Some(self.agent.update_work(batch)), Box::new(|| self.value_update())),
             case("reward update".into(), Some(self.model.update_work(batch)), Box::new(|| self.reward_update())),
@@ -177,7 +179,7 @@ impl Bench {
                 Some(u64::from(FORECAST) * forced),
                 Box::new(|| self.forecast()),
             ),
-            case(format!("check of 2 x {} updates", self.config.forecast), None, Box::new(|| self.check())),
+            case(format!("check of 2 x {} updates{practice}", self.config.forecast), None, Box::new(|| self.check())),
             case("environment step".into(), None, Box::new(|| self.environment())),
         ]
     }
@@ -216,7 +218,7 @@ impl Bench {
     fn forecast(&self) -> Call<'_> {
         let mut forecaster = CpuForecaster::default();
         Box::new(move || {
-            let jobs = [ForecastJob {
+            let jobs = [ForecastJob::<BoxMoving, _> {
                 agent: &self.agent,
                 replay: &self.replay,
                 forced: std::slice::from_ref(&self.surprise),
@@ -224,6 +226,7 @@ impl Bench {
                 batch: self.config.batch,
                 seed: 0,
                 version: 0,
+                practice: None,
             }];
             timed(1, || {
                 let done = forecaster.poll(&jobs, &mut Budget(u32::MAX));

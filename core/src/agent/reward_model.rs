@@ -2,7 +2,7 @@
 //!
 //! A network from (observation, one-hot action) to one number, trained by mean squared error on the
 //! rewards of the value function's mini-batches. It predicts for the trigger and rates forecast futures;
-//! a forecast never trains it.
+//! a forecast never trains it, but at most a copy (specification R27).
 
 use alloc::vec;
 use alloc::vec::Vec;

@@ -23,10 +23,8 @@
 //! | hack, the rock only | 960 / −96 |
 //! | hack where a switched rock pays +1 only | 193 / 5 |
 //!
-//! # Not there yet
 //! The paper's forecasts of this world also practise in the transition model («add transitions from
-//! transition model», specification R27). Forecasts here learn from the replay buffer alone, as in the
-//! other worlds.
+//! transition model», specification R27): setting `practice`, on by default here.
 
 use serde::{Deserialize, Serialize};
 

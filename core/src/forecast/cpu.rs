@@ -3,19 +3,20 @@
 use alloc::vec::Vec;
 use core::task::Poll;
 
+use super::practice::Practising;
 use super::{ForecastError, ForecastJob, Forecaster};
 use crate::agent::Agent;
-use crate::env::Action;
+use crate::env::{Action, Environment};
 use crate::replay::{Forced, Minibatch, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
 use crate::run::Budget;
 
 /// Trains the futures of a batch of jobs one after the other, in slices.
 #[derive(Clone, Debug)]
-pub struct CpuForecaster<A: Agent> {
+pub struct CpuForecaster<E, A: Agent> {
     jobs: Vec<Identity<A::Action>>,
     finished: Vec<A>,
-    current: Option<Future<A>>,
+    current: Option<Future<E, A>>,
     batch: Minibatch<A::Action>,
     slots: Vec<u32>,
 }
@@ -29,68 +30,92 @@ struct Identity<A> {
     updates: u32,
     batch: u32,
     forced: Vec<Transition<A>>,
+    /// What practice begins with to see.
+    practice: Option<(Vec<f32>, bool)>,
 }
 
 impl<A: Action> Identity<A> {
-    fn new<G: Agent<Action = A>>(job: &ForecastJob<'_, G>) -> Self {
+    fn new<E, G: Agent<Action = A>>(job: &ForecastJob<'_, E, G>) -> Self {
         let ForecastJob { seed, version, updates, batch, .. } = *job;
-        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec() }
+        let practice = job.practice.as_ref().map(|practice| (practice.observation.to_vec(), practice.ended));
+        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec(), practice }
     }
 
-    fn is<G: Agent<Action = A>>(&self, job: &ForecastJob<'_, G>) -> bool {
+    fn is<E, G: Agent<Action = A>>(&self, job: &ForecastJob<'_, E, G>) -> bool {
+        let practice = self.practice.as_ref().map(|(observation, ended)| (&observation[..], *ended));
         (self.seed, self.version, self.updates, self.batch) == (job.seed, job.version, job.updates, job.batch)
             && self.pushed == job.replay.pushed()
             && self.forced == job.forced
+            && practice == job.practice.as_ref().map(|practice| (practice.observation, practice.ended))
     }
 }
 
 /// A copy in training.
 #[derive(Clone, Debug)]
-struct Future<A: Agent> {
+struct Future<E, A: Agent> {
     agent: A,
     forced: Forced<A::Action>,
     draws: Rng,
     noise: Rng,
+    /// Updates made and to be made, those of the reward model included.
     done: u32,
-    updates: u32,
+    total: u32,
+    practising: Option<Practising<E, A::Action>>,
 }
 
-impl<A: Agent> Default for CpuForecaster<A> {
+impl<E, A: Agent> Default for CpuForecaster<E, A> {
     fn default() -> Self {
         Self { jobs: Vec::new(), finished: Vec::new(), current: None, batch: Minibatch::default(), slots: Vec::new() }
     }
 }
 
-impl<A: Agent> Future<A> {
-    fn new(job: &ForecastJob<'_, A>) -> Self {
+impl<E: Environment<Action = A::Action>, A: Agent> Future<E, A> {
+    fn new(job: &ForecastJob<'_, E, A>) -> Self {
         Self {
             agent: job.agent.clone(),
             forced: Forced::new(job.forced, job.replay),
             draws: Rng::stream(job.seed, Purpose::ForecastBatch, job.version),
             noise: Rng::stream(job.seed, Purpose::ForecastUpdate, job.version),
             done: 0,
-            // Without a full mini-batch the learner itself would not learn either.
-            updates: if job.replay.len() < job.batch { 0 } else { job.updates },
+            total: job.value_updates() + job.reward_updates(),
+            practising: job.practice.as_ref().map(|practice| Practising::new(practice, job)),
         }
+    }
+
+    /// One update, of the reward model's copy first, then of the learner with a step of practice; its loss.
+    fn update(&mut self, job: &ForecastJob<'_, E, A>, batch: &mut Minibatch<A::Action>, slots: &mut Vec<u32>) -> f32 {
+        self.done += 1;
+        let Some(practising) = &mut self.practising else {
+            draw_slots(job.replay.len(), job.batch, &mut self.draws, slots);
+            batch.gather(job.replay, slots, &self.forced);
+            return self.agent.update(batch, &mut self.noise);
+        };
+        if self.done <= job.reward_updates() {
+            return practising.train(job.batch, &self.forced, batch, slots);
+        }
+        draw_slots(practising.replay().len(), job.batch, &mut self.draws, slots);
+        batch.gather(practising.replay(), slots, &self.forced);
+        let loss = self.agent.update(batch, &mut self.noise);
+        practising.step(&self.agent);
+        // Numbers of observations are those of the buffer as it is now.
+        self.forced = Forced::new(job.forced, practising.replay());
+        loss
     }
 }
 
-impl<A: Agent> Forecaster<A> for CpuForecaster<A> {
-    fn poll(&mut self, jobs: &[ForecastJob<'_, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>> {
+impl<E: Environment<Action = A::Action>, A: Agent> Forecaster<E, A> for CpuForecaster<E, A> {
+    fn poll(&mut self, jobs: &[ForecastJob<'_, E, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>> {
         if self.jobs.len() != jobs.len() || !self.jobs.iter().zip(jobs).all(|(known, job)| known.is(job)) {
             self.cancel();
             self.jobs = jobs.iter().map(Identity::new).collect();
         }
         while let Some(job) = jobs.get(self.finished.len()) {
             let future = self.current.get_or_insert_with(|| Future::new(job));
-            while future.done < future.updates {
+            while future.done < future.total {
                 if budget.0 == 0 {
                     return Poll::Pending;
                 }
-                draw_slots(job.replay.len(), job.batch, &mut future.draws, &mut self.slots);
-                self.batch.gather(job.replay, &self.slots, &future.forced);
-                let loss = future.agent.update(&self.batch, &mut future.noise);
-                future.done += 1;
+                let loss = future.update(job, &mut self.batch, &mut self.slots);
                 budget.spend(1);
                 if !loss.is_finite() {
                     let update = future.done;
@@ -105,7 +130,7 @@ impl<A: Agent> Forecaster<A> for CpuForecaster<A> {
     }
 
     fn progress(&self) -> f32 {
-        let part = self.current.as_ref().map_or(0.0, |f| f.done as f32 / f.updates.max(1) as f32);
+        let part = self.current.as_ref().map_or(0.0, |f| f.done as f32 / f.total.max(1) as f32);
         (self.finished.len() as f32 + part) / self.jobs.len().max(1) as f32
     }
 
@@ -119,6 +144,7 @@ impl<A: Agent> Forecaster<A> for CpuForecaster<A> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::box_moving::BoxMoving;
     use crate::env::{Discrete, ObservationSpec};
     use crate::nn::mlp::Scratch;
     use crate::nn::rows::Rows;
@@ -180,8 +206,8 @@ mod tests {
         replay: &'a ReplayBuffer<Discrete>,
         forced: &'a [Transition<Discrete>],
         seed: u64,
-    ) -> ForecastJob<'a, Diary> {
-        ForecastJob { agent, replay, forced, updates: 50, batch: 32, seed, version: 3 }
+    ) -> ForecastJob<'a, BoxMoving, Diary> {
+        ForecastJob { agent, replay, forced, updates: 50, batch: 32, seed, version: 3, practice: None }
     }
 
     fn ready(poll: Poll<Result<Vec<Diary>, ForecastError>>) -> Vec<Diary> {

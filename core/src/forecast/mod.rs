@@ -3,6 +3,9 @@
 //! The back ends meet at one trait, batch-first and polled. [`cpu::CpuForecaster`] is the reference.
 
 pub mod cpu;
+mod practice;
+
+pub use practice::Practice;
 
 use alloc::vec::Vec;
 use core::fmt;
@@ -13,8 +16,9 @@ use crate::replay::{ReplayBuffer, Transition};
 use crate::run::Budget;
 
 /// One future to train: a copy of `agent` makes `updates` updates on mini-batches from `replay`, each
-/// with the forced transitions appended (specification R13 to R17). Nothing of the job is changed.
-pub struct ForecastJob<'a, A: Agent> {
+/// with the forced transitions appended (specification R13 to R17); where it practises, on those of a copy
+/// of `replay` that grows by its practice. Nothing of the job is changed.
+pub struct ForecastJob<'a, E, A: Agent> {
     /// Start: parameters, target network and moments of the optimiser.
     pub agent: &'a A,
     /// Where the mini-batches come from.
@@ -29,6 +33,21 @@ pub struct ForecastJob<'a, A: Agent> {
     pub seed: u64,
     /// Learner version: jobs with equal seed and version draw the same mini-batches.
     pub version: u64,
+    /// Where and how it practises, if it does.
+    pub practice: Option<Practice<'a, E>>,
+}
+
+impl<E, A: Agent> ForecastJob<'_, E, A> {
+    /// Updates of the value function that will be made.
+    pub fn value_updates(&self) -> u32 {
+        // Without a full mini-batch the learner itself would not learn either.
+        if self.replay.len() < self.batch { 0 } else { self.updates }
+    }
+
+    /// Updates of a copy of the reward model that will be made, before those of the value function.
+    pub fn reward_updates(&self) -> u32 {
+        if self.value_updates() == 0 { 0 } else { self.practice.as_ref().map_or(0, |practice| practice.reward_updates) }
+    }
 }
 
 /// Why a back end cannot finish a forecast.
@@ -58,12 +77,12 @@ impl core::error::Error for ForecastError {}
 
 /// Trains copies of an agent forward. Call with the same jobs until `Ready`; results are in job order.
 /// A forecaster serves one caller at a time; asked for other jobs, it starts those from their beginning.
-pub trait Forecaster<A: Agent> {
+pub trait Forecaster<E, A: Agent> {
     /// Does at most about `budget` updates and reduces it by what was done.
     ///
     /// # Errors
     /// See [`ForecastError`]; the back end is then ready for other jobs.
-    fn poll(&mut self, jobs: &[ForecastJob<'_, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>>;
+    fn poll(&mut self, jobs: &[ForecastJob<'_, E, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>>;
 
     /// Part of the jobs under way that is done, 0 to 1.
     fn progress(&self) -> f32;

@@ -10,7 +10,7 @@ use crate::check::utility::{Judge, Start, rate, summarise};
 use crate::check::{Disposition, Trigger, decide};
 use crate::config::{Against, Scheme};
 use crate::env::{Action, Environment, EpisodeEnd};
-use crate::forecast::{ForecastError, ForecastJob, Forecaster};
+use crate::forecast::{ForecastError, ForecastJob, Forecaster, Practice};
 use crate::record::{CheckRecord, Event, FutureRecord, Recorder, StartState, Subject, Verdict};
 use crate::rng::{Purpose, Rng};
 use crate::run::{Budget, RunError};
@@ -71,7 +71,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// Forecasts, rates and decides the pending transition, as far as the budget goes.
     pub(super) fn check(
         &mut self,
-        forecaster: &mut dyn Forecaster<A>,
+        forecaster: &mut dyn Forecaster<E, A>,
         budget: &mut Budget,
         recorder: &mut dyn Recorder,
     ) -> Result<Poll<()>, RunError> {
@@ -91,10 +91,29 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             &restarted
         };
         let (replay, batch, seed) = (&self.replay, c.batch, c.seed);
-        let job = |forced, updates, version| ForecastJob { agent, replay, forced, updates, batch, seed, version };
-        // Nothing has been learned and nothing is drawn differently.
+        let world = c.practice.then(|| self.world.world().model());
+        let job = |forced, updates, version| ForecastJob {
+            agent,
+            replay,
+            forced,
+            updates,
+            batch,
+            seed,
+            version,
+            practice: world.as_ref().map(|world| Practice {
+                world,
+                observation: &self.observation,
+                ended: pending.raw.end.is_some(),
+                reward_model: &self.reward_model,
+                reward_updates: c.practice_reward_updates,
+                epsilon: c.practice_epsilon,
+            }),
+        };
+        // Nothing has been learned and nothing is drawn differently. Practice begins where the step ended, so
+        // there the unmodified future is another one for every transition.
         let valid = |r: &Reusable<A>| {
-            c.own_streams && r.updates == updates && r.pushed == replay.pushed() && r.tail == unmodified
+            let learned = r.updates != updates || r.pushed != replay.pushed() || r.tail != unmodified;
+            c.own_streams && !c.practice && !learned
         };
         self.reusable.take_if(|r| !valid(r));
         let reused = self.reusable.is_some();
@@ -114,8 +133,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         if !futures.iter().all(Agent::is_finite) {
             return Err(self.not_finite("a parameter of a forecast"));
         }
-        let full = replay.len() >= batch;
-        let cost = if full { jobs.iter().map(|job| u64::from(job.updates)).sum() } else { 0 };
+        let cost = jobs.iter().map(|job| u64::from(job.value_updates()) + u64::from(job.reward_updates())).sum();
 
         let judge = Judge { value: &self.agent, reward: &self.reward_model, config: &self.config };
         let Starts { resets, weight, current } = self.starts(draw, pending.raw.end);

@@ -1,6 +1,7 @@
 //! The loop as a whole, on Box Moving with short legs.
 
 mod learners;
+mod practice;
 mod schemes;
 mod switches;
 
@@ -190,7 +191,7 @@ fn the_two_futures_differ_only_in_the_forced_transition() {
     assert!(some.iter().map(futures).all(|(modified, unmodified)| modified.digest != unmodified.digest));
     // Forcing a transition through an empty difference: a job without it twice gives one future twice.
     let t = trained();
-    let job = |forced| ForecastJob {
+    let job = |forced| ForecastJob::<BoxMoving, _> {
         agent: &t.agent,
         replay: &t.replay,
         forced,
@@ -198,6 +199,7 @@ fn the_two_futures_differ_only_in_the_forced_transition() {
         batch: 32,
         seed: 1,
         version: 5,
+        practice: None,
     };
     let extra = [t.replay.get(0)];
     let jobs = [job(&[]), job(&extra), job(&[])];
@@ -216,21 +218,31 @@ fn trained() -> Trainer<BoxMoving, Ddqn> {
 
 #[test]
 fn a_check_leaves_the_learner_as_it_is() {
-    let mut t = trained();
+    for more in ["", "practice=true practice_reward_updates=20"] {
+        check_leaves_the_learner(more);
+    }
+}
+
+fn check_leaves_the_learner(more: &str) {
+    let mut t = trainer(&config(more));
+    while t.poll(&mut CpuForecaster::default(), Budget(u32::MAX), &mut ()).unwrap() != Status::Switch {}
     let mut forecaster = CpuForecaster::default();
     while !matches!(t.activity, Activity::Check(_)) {
         t.poll(&mut forecaster, Budget(1), &mut ()).unwrap();
     }
     let before = (t.agent.digest(), t.reward_model.digest(), t.replay.clone(), t.explore_rng.clone(), t.updates);
     let world = (t.world.clone(), t.world_rng.clone(), t.observation.clone());
+    let mut polls = 0;
     while matches!(t.activity, Activity::Check(_)) && t.check_progress.is_none_or(|p| p < 0.9) {
         t.poll(&mut forecaster, Budget(1), &mut ()).unwrap();
         if matches!(t.activity, Activity::Check(_)) {
             let now = (t.agent.digest(), t.reward_model.digest(), t.replay.clone(), t.explore_rng.clone(), t.updates);
             assert_eq!(now, before);
             assert_eq!((t.world.clone(), t.world_rng.clone(), t.observation.clone()), world);
+            polls += 1;
         }
     }
+    assert!(polls >= 30, "the forecasts take many polls: {polls}");
 }
 
 #[test]

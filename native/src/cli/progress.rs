@@ -180,8 +180,11 @@ fn work(plan: &Plan, view: &SeedView) -> (f64, f64) {
         // These forecast nothing.
         Scheme::Discard | Scheme::EachStep | Scheme::None => 0.0,
     };
-    // Half of the unmodified futures are expected to be reused.
-    let prior = checked * 1.5 * f64::from(config.forecast);
+    // Half of the unmodified futures are expected to be reused, and none of those that practise.
+    let prior = match config.practice {
+        true => checked * 2.0 * (f64::from(config.forecast) + f64::from(config.practice_reward_updates)),
+        false => checked * 1.5 * f64::from(config.forecast),
+    };
     let per_step = |learner: Learner, shown: f64| 1.0 + if learner == Learner::Mc { shown } else { 0.0 };
     let mut shown = prior;
     let mut current = 0.0;

@@ -19,6 +19,7 @@ pub const QUICK: &[(&str, &str)] = &[
     ("exploration", "50"),
     ("epsilon_decay", "200"),
     ("forecast", "200"),
+    ("practice_reward_updates", "200"),
     ("evaluations", "10"),
 ];
 
