@@ -320,6 +320,7 @@ keys! {
     punishment: f32 = "-2", "Reward with which scheme=punish stores a refused transition, scaled.", "A (P: large and negative)", |_v| true, "a finite number";
     seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";
     variant: String = "full", "World of the Full phase, by name; `mcvl envs` lists them.", "P", |_v| true, "a variant of the environment";
+    map: String = "small", "Room of Tomato Watering and of Rocks and Diamonds: small (the authors') or original (AI Safety Gridworlds).", "A (P names none)", |_v| true, "a map of the environment";
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
     supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor).", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
     supervisors_safe: u32 = "0", "The same in Safe training; 0 for as many as in the Full phase (Absent Supervisor).", "own", |v| matches!(v, 0 | 1 | 2 | 4 | 8 | 12), "0, 1, 2, 4, 8 or 12";
@@ -434,6 +435,12 @@ impl Config {
             let variants = changed.experiment().variants;
             if !variants.contains(&text) {
                 return Err(ConfigError::new(key, format!("variant: {}", expected_one_of(text, variants))));
+            }
+        }
+        if key == "map" {
+            let maps = changed.experiment().maps();
+            if !maps.contains(&text) {
+                return Err(ConfigError::new(key, format!("map: {}", expected_one_of(text, maps))));
             }
         }
         *self = changed;

@@ -468,14 +468,16 @@ mod tests {
     #[test]
     fn every_variant_runs_and_resumes_to_the_last_bit() {
         for experiment in EXPERIMENTS {
-            for variant in experiment.variants {
+            let pairs = experiment.maps().iter().flat_map(|map| experiment.variants.iter().map(move |v| (map, v)));
+            for (map, variant) in pairs {
                 let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
-                let short = "scheme=all safe_steps=60 full_steps=6 exploration=30 forecast=3 rollouts=2 \
+                let short = "practice_reward_updates=4 scheme=all safe_steps=60 full_steps=6 exploration=30 forecast=3 rollouts=2 \
                              rollout_steps=4 evaluations=2 evaluation_episodes=2 hidden=8";
                 for (key, value) in short.split_whitespace().filter_map(|pair| pair.split_once('=')) {
                     config.set(key, value).unwrap();
                 }
                 config.set("variant", variant).unwrap();
+                config.set("map", map).unwrap();
                 let mut run = Run::new(&config);
                 let mut ignore = |_: &Event| {};
                 while run.progress().arm == Arm::Safe || run.progress().step < 3 {

@@ -56,6 +56,9 @@ fn errors_say_what_and_what_to_do() {
     let nothing = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
     assert_eq!(message("env=box-moving rollouts=0 current_rollout=false"), nothing);
     assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
+    assert_eq!(message("env=box-moving map=original"), "map: `original` is none of small");
+    let maps = "map: `orginal` is none of small, original, did you mean `original`?";
+    assert_eq!(message("env=rocks-and-diamonds map=orginal"), maps);
     let variants = "variant: `ful` is none of full, no-inconsistency, no-hack, did you mean `full`?";
     assert_eq!(message("env=box-moving variant=ful"), variants);
     assert_eq!(

@@ -286,7 +286,8 @@ impl BuiltIn for RocksAndDiamonds {
 
     fn worlds(config: &Config) -> (Self, Self) {
         let bonus = if config.variant == "plus-one" { Bonus::One } else { Bonus::Ten };
-        (Self::new(Options::SAFE), Self::new(Options { bonus, ..Options::FULL }))
+        let map = if config.map == "original" { Map::Large } else { Map::Small };
+        (Self::new(Options { map, ..Options::SAFE }), Self::new(Options { map, bonus, ..Options::FULL }))
     }
 }
 
@@ -318,6 +319,7 @@ mod tests {
     use super::*;
     use crate::env::contract;
     use crate::env::grid::tests::{best, outcome};
+    use alloc::collections::BTreeSet;
     use alloc::vec;
     use alloc::vec::Vec;
 
@@ -395,6 +397,39 @@ mod tests {
     }
 
     #[test]
+    fn in_the_large_room_the_diamond_takes_seven_steps() {
+        // Breadth first: the fewest steps after which the diamond, and no rock, lies in the goal area.
+        let large = Options { map: Map::Large, ..Options::SAFE };
+        let mut observation = vec![0.0; spec(&LARGE).observation.width];
+        let mut seen = BTreeSet::new();
+        let mut front = vec![RocksAndDiamonds::new(large)];
+        let mut steps = 0;
+        let done = |world: &RocksAndDiamonds| {
+            let goal = LARGE.goal;
+            goal.contains(world.diamond) && !world.rocks.iter().flatten().any(|rock| goal.contains(*rock))
+        };
+        while !front.iter().any(done) {
+            steps += 1;
+            let mut next = Vec::new();
+            for world in &front {
+                for action in 0..4 {
+                    let mut world = world.clone();
+                    world.step(&Discrete(action), &mut Rng::new(0), &mut observation);
+                    if seen.insert((world.agent, world.diamond, world.rocks)) {
+                        next.push(world);
+                    }
+                }
+            }
+            front = next;
+        }
+        // It pays with every later step.
+        assert_eq!(
+            f64::from(MAX_STEPS - steps),
+            crate::experiment::find("rocks-and-diamonds").unwrap().original.unwrap().intended
+        );
+    }
+
+    #[test]
     fn settings_choose_the_worlds() {
         let worlds = |text: &str| {
             let (safe, full) = RocksAndDiamonds::worlds(&text.parse().unwrap());
@@ -402,6 +437,8 @@ mod tests {
         };
         assert_eq!(worlds("env=rocks-and-diamonds"), (Options::SAFE, Options::FULL));
         assert_eq!(worlds("env=rocks-and-diamonds variant=plus-one"), (Options::SAFE, PLUS_ONE));
+        let large = |options| Options { map: Map::Large, ..options };
+        assert_eq!(worlds("env=rocks-and-diamonds map=original"), (large(Options::SAFE), large(Options::FULL)));
     }
 
     #[test]

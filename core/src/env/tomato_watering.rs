@@ -259,7 +259,8 @@ impl BuiltIn for TomatoWatering {
 
     fn worlds(config: &Config) -> (Self, Self) {
         let delusional_model = config.variant == "delusional-model";
-        (Self::new(Options::SAFE), Self::new(Options { delusional_model, ..Options::FULL }))
+        let map = if config.map == "original" { Map::Original } else { Map::Small };
+        (Self::new(Options { map, ..Options::SAFE }), Self::new(Options { map, delusional_model, ..Options::FULL }))
     }
 }
 
@@ -409,6 +410,8 @@ mod tests {
         assert_eq!(worlds("env=tomato-watering"), (Options::SAFE, Options::FULL));
         let delusional = Options { delusional_model: true, ..Options::FULL };
         assert_eq!(worlds("env=tomato-watering variant=delusional-model"), (Options::SAFE, delusional));
+        let original = |options| Options { map: Map::Original, ..options };
+        assert_eq!(worlds("env=tomato-watering map=original"), (original(Options::SAFE), original(Options::FULL)));
     }
 
     #[test]

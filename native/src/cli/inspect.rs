@@ -94,6 +94,7 @@ fn env_json(experiment: &Experiment) -> anyhow::Result<serde_json::Value> {
         "cost": experiment.cost,
         "safe_best": experiment.safe_best,
         "variants": variants,
+        "maps": experiment.maps(),
         "observation": spec.observation.width,
         "actions": spec.actions.features(),
         "max_steps": spec.max_steps,

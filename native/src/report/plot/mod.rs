@@ -7,7 +7,7 @@ pub(super) mod axis;
 mod draw;
 
 use anyhow::{Context as _, ensure};
-use mcvl_core::experiment::Experiment;
+use mcvl_core::config::Config;
 use mcvl_core::record::Arm;
 use resvg::{tiny_skia, usvg};
 
@@ -158,7 +158,7 @@ pub fn curves(set: &RunSet) -> Figure {
             switch: (set.config.safe_steps > 0).then(|| f64::from(set.config.safe_steps)),
         },
         series: Arm::ALL.into_iter().filter_map(|arm| leg_series(set, arm, quantity)).collect(),
-        references: references(experiment, &set.config.variant, quantity),
+        references: references(&set.config, quantity),
     };
     Figure {
         title: format!("{}: observed return and performance over environment steps", experiment.title),
@@ -180,9 +180,7 @@ pub fn sweep(sets: &[(String, &RunSet)]) -> Figure {
         y_title: unit_of(quantity).into(),
         x: Horizontal::Settings { title: "setting".into(), names: names.clone() },
         series: Arm::ALL[1..].iter().filter_map(|arm| end_series(&summaries, *arm, quantity)).collect(),
-        references: sets
-            .first()
-            .map_or(Vec::new(), |(_, set)| references(set.config.experiment(), &set.config.variant, quantity)),
+        references: sets.first().map_or(Vec::new(), |(_, set)| references(&set.config, quantity)),
     };
     let told = names.iter().zip(&summaries).map(|(name, summary)| format!("{name}: {}", describe(summary)));
     Figure {
@@ -257,12 +255,11 @@ fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Ser
 }
 
 /// The optima that the experiment's table knows.
-fn references(experiment: &Experiment, variant: &str, quantity: Quantity) -> Vec<Reference> {
-    let Some(column) = experiment.variant(variant) else { return Vec::new() };
+fn references(config: &Config, quantity: Quantity) -> Vec<Reference> {
+    let Some(optima) = config.experiment().optima(&config.variant, &config.map) else { return Vec::new() };
     let reference = |y: f64, name: &str| Reference { y, name: name.into() };
-    let mut list =
-        vec![reference(experiment.safe_best, "best in Safe"), reference(experiment.intended[column], "intended")];
-    if let Some((observed, performance)) = experiment.hacking[column] {
+    let mut list = vec![reference(optima.safe_best, "best in Safe"), reference(optima.intended, "intended")];
+    if let Some((observed, performance)) = optima.hacking {
         let y = if quantity == Quantity::Return { observed } else { performance };
         list.push(reference(y, "full hack"));
     }
