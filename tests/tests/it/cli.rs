@@ -191,6 +191,64 @@ fn a_run_leaves_what_it_promises() {
 }
 
 #[test]
+fn every_learner_has_a_leg_and_a_place_in_every_report() {
+    let folder = scratch();
+    let folder = folder.path();
+    let learners = ["baseline", "mc", "oracle", "frozen", "frozen-reward"];
+    // Asked for in any order, told in one.
+    let asked: String = learners.iter().rev().map(|learner| format!(" --agent {learner}")).collect();
+    let said = ok(folder, &format!("train box-moving --quick{asked} -o run"));
+    let events = lines(&folder.join("run/seed-0/metrics.jsonl"));
+    let ends = events.iter().map(|line| json(line)).filter(|event| event["kind"] == "end");
+    let legs: Vec<String> = ends.map(|end| end["arm"].as_str().unwrap().to_owned()).collect();
+    assert_eq!(legs[1..], learners);
+    ok(folder, "report run");
+    let html = fs::read_to_string(folder.join("run/report.html")).unwrap();
+    let again: String = learners.iter().map(|learner| format!(" --agent {learner}")).collect();
+    for learner in learners {
+        assert!(said.contains(&format!("\n{learner} ")) && html.contains(&format!(">{learner}<")), "{learner}\n{said}");
+        assert!(folder.join(format!("run/seed-0/checkpoints/{learner}.safetensors")).is_file());
+    }
+    assert!(html.contains(&again), "the report says how to train the same runs");
+    ok(folder, "verify run");
+    ok(folder, "replay run#1");
+    let assertion = "frozen.return == frozen.return.first and frozen_reward.performance <= oracle.performance";
+    assert_eq!(ask_all(folder, &["compare", "run", "--assert", assertion]).code, 0);
+}
+
+#[test]
+fn decisions_of_every_scheme_are_kept_explained_and_derived_again() {
+    let folder = scratch();
+    let folder = folder.path();
+    for (scheme, word) in [
+        ("discard", "discarded, without a forecast"),
+        ("each-step", "the update"),
+        ("punish", "rollouts without it"),
+        ("store-predicted", "rollouts without it"),
+    ] {
+        let said = ok(folder, &format!("train box-moving --quick --agent mc --scheme {scheme} -o {scheme}"));
+        assert!(said.contains("checks "), "{scheme}\n{said}");
+        let explained =
+            ok(folder, &format!("explain {scheme}#1 --svg check.svg")).replace('\n', " ").replace("  ", " ");
+        assert!(explained.contains(word), "{scheme}: {explained}");
+        assert!(fs::read_to_string(folder.join("check.svg")).unwrap().starts_with("<svg"));
+        let token = explained.split("mcvl replay ").nth(1).unwrap().trim().to_owned();
+        for what in [format!("{scheme}#1"), token] {
+            assert!(ok(folder, &format!("replay {what}")).contains("SAME"), "{scheme}");
+        }
+        ok(folder, &format!("report {scheme}"));
+        ok(folder, &format!("verify {scheme}"));
+        assert!(ok(folder, &format!("ledger {scheme}")).lines().count() > 1);
+    }
+    // Nobody asks what a mini-batch was in truth.
+    let updates = json(&ok(folder, "ledger each-step --json"));
+    assert!(updates.as_array().unwrap().iter().all(|check| check["subject"] == "update"));
+    assert_eq!(json(&ok(folder, "ledger each-step --wrong --json")), Value::Array(Vec::new()));
+    assert!(ok(folder, "train box-moving --quick --agent mc --scheme none -o none").contains("0 checks"));
+    assert_eq!(ask(folder, "explain none#1").code, 2);
+}
+
+#[test]
 fn weights_are_safetensors_of_the_shapes_of_the_networks() {
     let folder = finished();
     let bytes = fs::read(folder.path().join("run/seed-0/checkpoints/mc.safetensors")).unwrap();

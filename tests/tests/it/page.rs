@@ -150,6 +150,21 @@ fn a_row_and_a_link_open_the_same_moment() {
 }
 
 #[test]
+fn decisions_without_a_forecast_and_about_updates_are_shown() {
+    let server = Server::start(None);
+    let of = |scheme: &str| format!("{}/?{LINK}&scheme={scheme}&check=2", server.origin());
+    let pages = pages(&server, &[of("discard"), of("each-step"), of("punish")]);
+    assert_eq!([&pages[0].stamp, &pages[0].verdicts[0][5]], ["REFUSED", "–"]);
+    assert!(pages[0].tally.contains(" refused, 0 accepted"), "{}", pages[0].tally);
+    assert_eq!(pages[1].verdicts.len(), 100, "every update is judged");
+    assert!(pages[1].tally.ends_with("; 0 of them wrong in truth."), "{}", pages[1].tally);
+    for page in &pages {
+        assert!(page.moment.starts_with("Check 2, step "), "{page:?}");
+        assert!(page.error.is_empty() && page.status.starts_with("Done in"), "{page:?}");
+    }
+}
+
+#[test]
 fn a_malformed_link_is_answered() {
     let server = Server::start(None);
     let wrong = ["sed=1", "seed=-1", "check=two", "speed=3", &format!("{LINK}&check=999")];
