@@ -440,6 +440,7 @@ fn with_reduced_motion_nothing_moves_by_itself() {
     let next = "eval:document.getElementById('forward').click()";
     let framed = "until:return performance.getEntriesByName('first-frame').length === 1 && \
                   document.getElementById('module').textContent.startsWith('module') && \
+                  document.querySelector('#curves polyline') && \
                   document.getElementById('status').textContent.startsWith('Nothing')";
     let address = format!("go:{}", at(&server, ""));
     let link = format!("go:{}", at(&server, &format!("?{LINK}&check=2&frame=7")));
