@@ -79,7 +79,11 @@ impl Server {
         let mut process = command.spawn().expect("mcvl can be started");
         let mut stdout = BufReader::new(process.stdout.take().expect("stdout is a pipe"));
         let mut line = String::new();
-        stdout.read_line(&mut line).expect("the server's output can be read");
+        // The page itself comes first, the run on it second.
+        for _ in 0..=usize::from(run.is_some()) {
+            line.clear();
+            stdout.read_line(&mut line).expect("the server's output can be read");
+        }
         let link = line.split_whitespace().next().expect("the server says its address").to_owned();
         Self { process, _stdout: stdout, link }
     }

@@ -50,14 +50,17 @@ pub struct ServeArgs {
 pub fn serve(arguments: &ServeArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     check_page(&arguments.page)?;
     let shown = arguments.run.as_deref().map(Shown::find).transpose()?;
-    let query = shown.as_ref().map(|shown| format!("?tape=run/seed-{}.json", shown.seed)).unwrap_or_default();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     runtime.block_on(async {
         let address = SocketAddr::new(arguments.host, arguments.port);
         let listener = TcpListener::bind(address).await.with_context(|| {
             format!("{address} cannot be listened on; choose another port with --port, or let 0 find a free one")
         })?;
-        writeln!(terminal.out, "http://{}/{query} (stop with Ctrl-C)", listener.local_addr()?)?;
+        let page = format!("http://{}/", listener.local_addr()?);
+        writeln!(terminal.out, "{page} trains live in the browser (stop with Ctrl-C)")?;
+        if let Some(Shown { run, seed }) = &shown {
+            writeln!(terminal.out, "{page}?tape=run/seed-{seed}.json shows {}", run.path().display())?;
+        }
         terminal.out.flush()?;
         axum::serve(listener, router(&arguments.page, shown.map(|shown| shown.run))).await?;
         Ok(Done::Well)
