@@ -10,6 +10,7 @@ const VIEW = {
   film: ["reset", "`reset` or `current`", (text) => ["reset", "current"].includes(text)],
   speed: ["1", "`1`, `4` or `16`", (text) => ["1", "4", "16"].includes(text)],
   pace: ["max", "`1`, `4`, `16` or `max`", (text) => ["1", "4", "16", "max"].includes(text)],
+  depth: ["steps", "`short`, `steps` or `formal`", (text) => ["short", "steps", "formal"].includes(text)],
   filter: ["all", "`all`, `refused`, `accepted` or `wrong`", (text) => ["all", "refused", "accepted", "wrong"].includes(text)],
   picture: ["seen", "`seen` or `true`", (text) => ["seen", "true"].includes(text)],
   tape: [null, "a file of this site, like `run/seed-0.json`", (text) => /^[\w-]+([./][\w-]+)*$/.test(text)],

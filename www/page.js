@@ -67,7 +67,7 @@ async function begin(complaint = "", first = false) {
   say("error", text && `${text}${stop} This is the default page instead; correct the link and reload, or go on here.`);
   view = found.view;
   element("seed").value = found.seed;
-  for (const key of ["speed", "filter", "film", "pace"]) {
+  for (const key of ["speed", "filter", "film", "pace", "depth"]) {
     document.querySelector(`input[name=${key}][value="${view[key]}"]`).checked = true;
   }
   element("picture").checked = view.picture === "true";
@@ -554,6 +554,7 @@ document.addEventListener("change", ({ target }) => {
     put({ pace: target.value });
     computer.tell({ kind: "pace", pace: view.pace });
   }
+  if (target.name === "depth") put({ depth: target.value });
   if (target.name === "filter") {
     put({ filter: target.value });
     table.filter = view.filter;

@@ -396,7 +396,11 @@ fn an_embedded_page_shows_what_it_is_asked_for() {
     let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'explain', 'limits', 'footer'] \
                    .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)";
     let embedded = format!("go:{}", at(&server, "?embed=1&hide=run,ledger"));
-    let seen = drive(&[&embedded, TOLD, visible, &at(&server, "?hide=rin")]);
+    let told = "eval:return [...document.querySelectorAll('[data-depth]')].filter((part) => part.checkVisibility()) \
+                .map((part) => part.dataset.depth)";
+    let formal = format!("go:{}", at(&server, "?depth=formal&hide=run"));
+    let seen = drive(&[&embedded, TOLD, visible, &at(&server, "?hide=rin"), &formal, told]);
+    assert_eq!(seen[5], serde_json::json!(["formal"]));
     assert_eq!(seen[2], serde_json::json!(["decision", "results"]));
     assert!(page(&seen[3]).error.starts_with("hide: rin is not a list of header, run,"), "{:?}", seen[3]["error"]);
 }
