@@ -14,7 +14,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use crate::config::Config;
-use crate::env::{Discrete, EnvSpec, Environment, EpisodeEnd, Frame, Step};
+use crate::env::{Action, ActionValue, EnvSpec, Environment, EpisodeEnd, Frame, Step};
 use crate::record::Arm;
 use crate::rng::{Purpose, Rng};
 use crate::run;
@@ -45,10 +45,11 @@ pub(crate) trait World: Send {
     fn spec(&self) -> &EnvSpec;
     fn frame(&self) -> Frame;
     fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]);
-    fn step(&mut self, action: Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step;
+    /// `None` if there is no such action.
+    fn step(&mut self, action: &ActionValue, rng: &mut Rng, observation: &mut [f32]) -> Option<Step>;
 }
 
-impl<E: Environment<Action = Discrete> + Send> World for E {
+impl<E: Environment + Send> World for E {
     fn spec(&self) -> &EnvSpec {
         Environment::spec(self)
     }
@@ -61,8 +62,9 @@ impl<E: Environment<Action = Discrete> + Send> World for E {
         Environment::reset(self, rng, observation);
     }
 
-    fn step(&mut self, action: Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
-        Environment::step(self, &action, rng, observation)
+    fn step(&mut self, action: &ActionValue, rng: &mut Rng, observation: &mut [f32]) -> Option<Step> {
+        let action = E::Action::from_value(action, &Environment::spec(self).actions)?;
+        Some(Environment::step(self, &action, rng, observation))
     }
 }
 
@@ -89,13 +91,14 @@ impl Play {
     /// Makes one step; `None`, and nothing happens, if the episode is over.
     ///
     /// # Panics
-    /// If there is no such action.
-    pub fn step(&mut self, action: Discrete) -> Option<Step> {
-        assert!(usize::from(action.0) < self.spec().actions.features(), "{action:?} is no action here");
+    /// If there is no such action: of another kind, beyond the last one, or not of finite numbers.
+    pub fn step(&mut self, action: impl Into<ActionValue>) -> Option<Step> {
         if self.score.end.is_some() {
             return None;
         }
-        let step = self.world.step(action, &mut self.rng, &mut self.observation);
+        let action = action.into();
+        let step = self.world.step(&action, &mut self.rng, &mut self.observation);
+        let step = step.unwrap_or_else(|| panic!("{action:?} is no action here"));
         self.score.observed_return += f64::from(step.reward);
         self.score.performance += f64::from(step.performance);
         self.score.steps += 1;
@@ -128,7 +131,7 @@ impl Play {
 mod tests {
     use super::*;
     use crate::config::Preset;
-    use crate::env::Action;
+    use crate::env::Discrete;
     use crate::env::box_moving::{DEMONSTRATIONS, Variant};
     use crate::experiment::EXPERIMENTS;
 

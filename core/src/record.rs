@@ -354,6 +354,7 @@ impl CheckRecord {
             unmodified: self.unmodified.as_ref().map(bare),
             before: self.before.clone(),
             after: self.after.clone(),
+            action: self.action.clone(),
             ..*self
         }
     }

@@ -9,14 +9,12 @@ use core::fmt;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
 use crate::config::{Config, Learner};
 use crate::digest::Digest;
-use crate::env::absent_supervisor::AbsentSupervisor;
-use crate::env::box_moving::BoxMoving;
-use crate::env::rocks_and_diamonds::RocksAndDiamonds;
-use crate::env::tomato_watering::TomatoWatering;
-use crate::env::{BuiltIn, Discrete, EnvSpec, Environment, Frame};
+use crate::env::gridworld::Gridworld;
+use crate::env::{EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
 use crate::play;
 use crate::record::{Arm, Recorder};
@@ -151,7 +149,7 @@ pub struct Run {
 /// First bytes of a snapshot.
 const MAGIC: &[u8; 8] = b"mcvlsnap";
 /// Version of the snapshot format.
-pub const SNAPSHOT_VERSION: u32 = 2;
+pub const SNAPSHOT_VERSION: u32 = 3;
 /// Bytes before the payload: magic, version, length, digest.
 const HEADER: usize = 8 + 4 + 8 + 8;
 
@@ -175,16 +173,28 @@ impl Clone for Box<dyn Erased> {
     }
 }
 
-/// A gridworld trainer with its forecaster.
+/// A trainer with its forecaster.
 #[derive(Clone)]
-struct Typed<E: Environment<Action = Discrete>> {
-    trainer: Trainer<E, Ddqn>,
-    forecaster: CpuForecaster<E, Ddqn>,
+struct Typed<E: Environment<Action = A::Action>, A: Agent> {
+    trainer: Trainer<E, A>,
+    forecaster: CpuForecaster<E, A>,
 }
 
-impl<E> Erased for Typed<E>
+impl<E, A> Typed<E, A>
 where
-    E: Environment<Action = Discrete> + Serialize + Send + 'static,
+    E: Environment<Action = A::Action>,
+    A: Agent,
+{
+    fn new(trainer: Trainer<E, A>) -> Self {
+        Self { trainer, forecaster: CpuForecaster::default() }
+    }
+}
+
+impl<E, A> Erased for Typed<E, A>
+where
+    E: Environment<Action = A::Action> + Serialize + Send + 'static,
+    A: Agent + Serialize + Send + 'static,
+    A::Action: Serialize + Send,
 {
     fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
         self.trainer.poll(&mut self.forecaster, budget, recorder)
@@ -219,14 +229,9 @@ where
     }
 
     fn tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)> {
-        let agent = self.trainer.agent();
-        let networks = [
-            ("value", agent.online()),
-            ("value_target", agent.target()),
-            ("reward", self.trainer.reward_model().network()),
-        ];
+        let reward = ("reward", self.trainer.reward_model().network());
         let mut tensors = Vec::new();
-        for (name, network) in networks {
+        for (name, network) in self.trainer.agent().networks().into_iter().chain([reward]) {
             for layer in 0..network.sizes().len() - 1 {
                 let (weights, bias) = network.layer(layer);
                 let values = |x: &mut dyn Iterator<Item = &f32>| x.copied().collect();
@@ -242,9 +247,10 @@ where
     }
 }
 
-/// A built-in world with its types erased: how runs in it begin and come back, and the bare world.
-struct World {
-    name: &'static str,
+/// Built-in worlds that share a learner, with their types erased: how runs in them begin and come back,
+/// and the bare world.
+struct Family {
+    names: &'static [&'static str],
     begin: fn(&Config) -> Box<dyn Erased>,
     resume: fn(&[u8]) -> Resumed,
     play: fn(&Config, Arm) -> Box<dyn play::World>,
@@ -254,67 +260,48 @@ struct World {
 type Resumed = Result<Box<dyn Erased>, SnapshotError>;
 
 /// Every built-in world, in the order of the table of experiments.
-static WORLDS: &[World] = &[
-    World::of::<BoxMoving>(),
-    World::of::<AbsentSupervisor>(),
-    World::of::<TomatoWatering>(),
-    World::of::<RocksAndDiamonds>(),
-];
+static FAMILIES: &[Family] = &[Family {
+    names: Gridworld::NAMES,
+    begin: |config| {
+        let (safe, full) = gridworlds(config);
+        Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
+    },
+    resume: resumed::<Gridworld, Ddqn>,
+    play: |config, leg| {
+        let (safe, full) = gridworlds(config);
+        Box::new(if leg == Arm::Safe { safe } else { full })
+    },
+}];
 
-impl World {
-    const fn of<E>() -> Self
-    where
-        E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
-    {
-        Self { name: E::NAME, begin: begin::<E>, resume: resume::<E>, play: bare::<E> }
-    }
-
+impl Family {
     fn find(name: &str) -> Option<&'static Self> {
-        WORLDS.iter().find(|world| world.name == name)
+        FAMILIES.iter().find(|family| family.names.contains(&name))
     }
 }
 
-/// A trainer of this world at its beginning.
-fn begin<E>(config: &Config) -> Box<dyn Erased>
-where
-    E: BuiltIn<Action = Discrete> + Serialize + Send + 'static,
-{
-    let (safe, full) = E::worlds(config);
-    Box::new(Typed::from(Trainer::gridworld(config.clone(), safe, full)))
+fn gridworlds(config: &Config) -> (Gridworld, Gridworld) {
+    Gridworld::worlds(config).expect("the family has this world")
 }
 
-/// A trainer of this world from its binary form.
-fn resume<E>(state: &[u8]) -> Resumed
+/// A trainer from its binary form.
+fn resumed<E, A>(state: &[u8]) -> Resumed
 where
-    E: BuiltIn<Action = Discrete> + Serialize + DeserializeOwned + Send + 'static,
+    E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
+    A: Agent + Serialize + DeserializeOwned + Send + 'static,
+    A::Action: Serialize + DeserializeOwned + Send,
 {
-    let (trainer, rest): (Trainer<E, Ddqn>, _) = postcard::take_from_bytes(state)
+    let (trainer, rest): (Trainer<E, A>, _) = postcard::take_from_bytes(state)
         .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
-    if !rest.is_empty() || trainer.config().env != E::NAME {
+    if !rest.is_empty() {
         return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
     }
-    Ok(Box::new(Typed::from(trainer)))
-}
-
-/// The world of a leg.
-fn bare<E>(config: &Config, leg: Arm) -> Box<dyn play::World>
-where
-    E: BuiltIn<Action = Discrete> + Send + 'static,
-{
-    let (safe, full) = E::worlds(config);
-    Box::new(if leg == Arm::Safe { safe } else { full })
+    Ok(Box::new(Typed::new(trainer)))
 }
 
 /// The world of a leg, without a learner.
 pub(crate) fn world(config: &Config, leg: Arm) -> Box<dyn play::World> {
-    let world = World::find(&config.env).expect("only built-in worlds have names");
-    (world.play)(config, leg)
-}
-
-impl<E: Environment<Action = Discrete>> From<Trainer<E, Ddqn>> for Typed<E> {
-    fn from(trainer: Trainer<E, Ddqn>) -> Self {
-        Self { trainer, forecaster: CpuForecaster::default() }
-    }
+    let family = Family::find(&config.env).expect("only built-in worlds have names");
+    (family.play)(config, leg)
 }
 
 impl Run {
@@ -323,8 +310,8 @@ impl Run {
     /// # Panics
     /// If the configuration is [`Config::custom`]: a world of your own goes to [`Trainer::gridworld`].
     pub fn new(config: &Config) -> Self {
-        let world = World::find(&config.env).expect("runs are of built-in worlds");
-        Self { inner: (world.begin)(config) }
+        let family = Family::find(&config.env).expect("runs are of built-in worlds");
+        Self { inner: (family.begin)(config) }
     }
 
     /// The configuration: the run as text.
@@ -421,9 +408,14 @@ impl Run {
             .split_first()
             .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
             .ok_or_else(|| damaged("it names no world".to_owned()))?;
-        let world = core::str::from_utf8(name).ok().and_then(World::find);
-        let world = world.ok_or_else(|| damaged("it is of a world that this program does not have".to_owned()))?;
-        (world.resume)(state).map(|inner| Self { inner })
+        let name = core::str::from_utf8(name).unwrap_or_default();
+        let family =
+            Family::find(name).ok_or_else(|| damaged("it is of a world that this program does not have".to_owned()))?;
+        let inner = (family.resume)(state)?;
+        if inner.config().env != name {
+            return Err(damaged("its parts do not belong together".to_owned()));
+        }
+        Ok(Self { inner })
     }
 
     /// Facts of the environment of the current leg: names of actions, legend, sizes.
@@ -457,8 +449,8 @@ mod tests {
 
     #[test]
     fn every_experiment_has_its_world() {
-        let names = |world: &World| world.name;
-        assert!(WORLDS.iter().map(names).eq(EXPERIMENTS.iter().map(|experiment| experiment.name)));
+        let names = FAMILIES.iter().flat_map(|family| family.names.iter().copied());
+        assert!(names.eq(EXPERIMENTS.iter().map(|experiment| experiment.name)));
         for experiment in EXPERIMENTS {
             let run = Run::new(&Config::new(experiment.name, Preset::Paper).unwrap());
             assert_eq!(run.spec().name, experiment.name);

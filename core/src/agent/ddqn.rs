@@ -11,13 +11,14 @@
 //! 2. The target network moves a little after every update instead of by copies.
 //! 3. Equal states of a batch are computed once; their loss derivatives are summed in sample order.
 
+use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::Agent;
 use crate::config::Config;
 use crate::digest::Digest;
-use crate::env::{Action, ActionSpec, Discrete, EnvSpec, ObservationSpec};
+use crate::env::{ActionSpec, Discrete, EnvSpec, ObservationSpec};
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::smooth_l1;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
@@ -190,6 +191,10 @@ impl Agent for Ddqn {
         copy
     }
 
+    fn networks(&self) -> Vec<(&'static str, &Mlp)> {
+        vec![("value", &self.online), ("value_target", &self.target)]
+    }
+
     fn is_finite(&self) -> bool {
         self.online.is_finite()
     }
@@ -204,7 +209,6 @@ mod tests {
     use super::*;
     use crate::config::Optimizer;
     use crate::replay::{Forced, ReplayBuffer, Transition};
-    use alloc::vec;
 
     const SPEC: ObservationSpec = ObservationSpec { width: 4, binary: true };
     const ACTIONS: ActionSpec = ActionSpec::Discrete(&["left", "right"]);

@@ -6,7 +6,7 @@ pub mod reward_model;
 use alloc::vec::Vec;
 
 use crate::env::{Action, ActionSpec};
-use crate::nn::mlp::Scratch;
+use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
 use crate::replay::Minibatch;
 use crate::rng::Rng;
@@ -33,6 +33,9 @@ pub trait Agent: Clone {
     /// The copy from which a forecast starts (specification R15): with the target network, or with one equal
     /// to the live network; with the optimiser's moments, or with none.
     fn for_forecast(&self, target: bool, optimizer: bool) -> Self;
+
+    /// The networks with their names, for files that other programs read.
+    fn networks(&self) -> Vec<(&'static str, &Mlp)>;
 
     /// Whether every parameter that decides actions is a finite number.
     fn is_finite(&self) -> bool;

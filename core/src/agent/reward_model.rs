@@ -1,6 +1,6 @@
 //! The reward model R(s, a; ψ): what reward the learner expects (specification R1, R3, R5).
 //!
-//! A network from (observation, one-hot action) to one number, trained by mean squared error on the
+//! A network from (observation, action) to one number, trained by mean squared error on the
 //! rewards of the value function's mini-batches. It predicts for the trigger and rates forecast futures;
 //! a forecast never trains it, but at most a copy (specification R27).
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
 use crate::digest::Digest;
-use crate::env::{Action, ActionSpec, EnvSpec, ObservationSpec};
+use crate::env::{Action, ActionSpec, Encoded, EnvSpec, ObservationSpec};
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::squared;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
@@ -97,7 +97,7 @@ impl RewardModel {
     pub fn predict<A: Action>(&self, states: &Rows, actions: &[A], scratch: &mut Scratch, rewards: &mut Vec<f32>) {
         let mut rows = Rows::new(self.input);
         for (row, action) in actions.iter().enumerate() {
-            rows.push_pair(states, row, action.index());
+            rows.push_pair(states, row, action.encoded());
         }
         rewards.clear();
         rewards.extend_from_slice(self.network.forward(&rows, scratch));
@@ -111,11 +111,16 @@ impl RewardModel {
         row_of.clear();
         row_of.resize(batch.states * self.actions, NO_ROW);
         row.clear();
-        for (state, action) in batch.state.iter().zip(&batch.actions) {
-            let pair = &mut row_of[*state as usize * self.actions + action.index()];
+        for (&state, action) in batch.state.iter().zip(&batch.actions) {
+            let mut single = NO_ROW;
+            let pair = match action.encoded() {
+                Encoded::OneHot(index) => &mut row_of[state as usize * self.actions + index],
+                // Actions of numbers hardly ever repeat.
+                Encoded::Numbers(_) => &mut single,
+            };
             if *pair == NO_ROW {
                 *pair = rows.len() as u32;
-                rows.push_pair(&batch.rows, *state as usize, action.index());
+                rows.push_pair(&batch.rows, state as usize, action.encoded());
             }
             row.push(*pair);
         }

@@ -9,14 +9,16 @@ pub mod absent_supervisor;
 pub mod box_moving;
 pub mod contract;
 pub mod grid;
+pub mod gridworld;
 pub mod paying;
 pub mod rocks_and_diamonds;
 pub mod tomato_watering;
 
 use alloc::string::String;
 use alloc::vec::Vec;
-use core::fmt::Debug;
-use serde::{Deserialize, Serialize};
+use core::fmt::{self, Debug};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::config::Config;
 use crate::rng::Rng;
@@ -97,18 +99,27 @@ pub struct ObservationSpec {
 }
 
 /// The set of actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActionSpec {
     /// Numbered actions with their names.
     Discrete(&'static [&'static str]),
+    /// One number per name, each from `low` to `high`.
+    Continuous {
+        /// What the numbers are.
+        names: &'static [&'static str],
+        /// Least value of each.
+        low: f32,
+        /// Greatest value of each.
+        high: f32,
+    },
 }
 
 impl ActionSpec {
-    /// Length of an action as input of a network: the number of discrete actions (one-hot).
+    /// Length of an action as input of a network: the number of discrete actions (one-hot), or of numbers.
     pub fn features(&self) -> usize {
         match self {
-            ActionSpec::Discrete(names) => names.len(),
+            ActionSpec::Discrete(names) | ActionSpec::Continuous { names, .. } => names.len(),
         }
     }
 
@@ -118,8 +129,23 @@ impl ActionSpec {
             (ActionSpec::Discrete(names), ActionValue::Discrete(index)) => {
                 names.get(usize::from(*index)).map_or_else(|| alloc::format!("#{index}"), |n| String::from(*n))
             }
+            (ActionSpec::Continuous { names, .. }, ActionValue::Continuous(numbers)) => {
+                let parts: Vec<String> =
+                    names.iter().zip(numbers).map(|(name, x)| alloc::format!("{name} {x:+.2}")).collect();
+                parts.join(", ")
+            }
+            _ => alloc::format!("{action:?}"),
         }
     }
+}
+
+/// An action as input of a network.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Encoded<'a> {
+    /// A one at this position, zeros elsewhere.
+    OneHot(usize),
+    /// These numbers.
+    Numbers(&'a [f32]),
 }
 
 /// An action, as the learner and the replay buffer handle it.
@@ -127,10 +153,17 @@ pub trait Action: Clone + Debug + PartialEq {
     /// Plain form for records.
     fn value(&self) -> ActionValue;
 
-    /// Position in the one-hot encoding that networks read.
-    fn index(&self) -> usize;
+    /// The action of a plain form; `None` if it is none of `spec`. Numbers need not lie within the bounds:
+    /// what a world makes of larger ones is its own rule.
+    fn from_value(value: &ActionValue, spec: &ActionSpec) -> Option<Self>;
+
+    /// What networks read.
+    fn encoded(&self) -> Encoded<'_>;
 
     /// A uniformly random action.
+    ///
+    /// # Panics
+    /// If `spec` is of another kind of action.
     fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self;
 }
 
@@ -138,13 +171,29 @@ pub trait Action: Clone + Debug + PartialEq {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Discrete(pub u8);
 
+impl Discrete {
+    /// Position in the one-hot encoding that networks read.
+    pub fn index(self) -> usize {
+        usize::from(self.0)
+    }
+}
+
 impl Action for Discrete {
     fn value(&self) -> ActionValue {
         ActionValue::Discrete(self.0)
     }
 
-    fn index(&self) -> usize {
-        usize::from(self.0)
+    fn from_value(value: &ActionValue, spec: &ActionSpec) -> Option<Self> {
+        match (value, spec) {
+            (ActionValue::Discrete(index), ActionSpec::Discrete(names)) if usize::from(*index) < names.len() => {
+                Some(Discrete(*index))
+            }
+            _ => None,
+        }
+    }
+
+    fn encoded(&self) -> Encoded<'_> {
+        Encoded::OneHot(self.index())
     }
 
     fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self {
@@ -153,24 +202,124 @@ impl Action for Discrete {
     }
 }
 
-/// An action as plain data: a number in JSON.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(from = "u8", into = "u8")]
-pub enum ActionValue {
-    /// Index of a discrete action.
-    Discrete(u8),
-}
+/// An action of `N` numbers, such as torques.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Continuous<const N: usize>(pub [f32; N]);
 
-impl From<u8> for ActionValue {
-    fn from(index: u8) -> Self {
-        ActionValue::Discrete(index)
+impl<const N: usize> Action for Continuous<N> {
+    fn value(&self) -> ActionValue {
+        ActionValue::Continuous(self.0.to_vec())
+    }
+
+    fn from_value(value: &ActionValue, spec: &ActionSpec) -> Option<Self> {
+        match (value, spec) {
+            (ActionValue::Continuous(numbers), ActionSpec::Continuous { .. })
+                if spec.features() == N && numbers.iter().all(|x| x.is_finite()) =>
+            {
+                numbers[..].try_into().ok().map(Continuous)
+            }
+            _ => None,
+        }
+    }
+
+    fn encoded(&self) -> Encoded<'_> {
+        Encoded::Numbers(&self.0)
+    }
+
+    fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self {
+        let &ActionSpec::Continuous { low, high, .. } = spec else { panic!("{spec:?} has no numbers to draw") };
+        Continuous(core::array::from_fn(|_| low + (high - low) * rng.uniform()))
     }
 }
 
-impl From<ActionValue> for u8 {
-    fn from(action: ActionValue) -> Self {
-        let ActionValue::Discrete(index) = action;
-        index
+impl<const N: usize> Serialize for Continuous<N> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(&self.0)
+    }
+}
+
+impl<'de, const N: usize> Deserialize<'de> for Continuous<N> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let numbers = Vec::<f32>::deserialize(deserializer)?;
+        let wrong = |numbers: Vec<f32>| D::Error::invalid_length(numbers.len(), &"the numbers of an action");
+        numbers.try_into().map(Continuous).map_err(wrong)
+    }
+}
+
+/// An action as plain data: in JSON a number, or an array of numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ActionValue {
+    /// Index of a discrete action.
+    Discrete(u8),
+    /// The numbers of a continuous action.
+    Continuous(Vec<f32>),
+}
+
+impl From<Discrete> for ActionValue {
+    fn from(action: Discrete) -> Self {
+        action.value()
+    }
+}
+
+impl<const N: usize> From<Continuous<N>> for ActionValue {
+    fn from(action: Continuous<N>) -> Self {
+        action.value()
+    }
+}
+
+impl fmt::Display for ActionValue {
+    /// Numbers of a continuous action are separated by spaces.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ActionValue::Discrete(index) => write!(f, "{index}"),
+            ActionValue::Continuous(numbers) => {
+                for (i, x) in numbers.iter().enumerate() {
+                    write!(f, "{}{x}", if i == 0 { "" } else { " " })?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// The forms of an [`ActionValue`]: by their shape in text, by a tag in binary.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum Plain {
+    Discrete(u8),
+    Continuous(Vec<f32>),
+}
+
+#[derive(Serialize, Deserialize)]
+enum Tagged {
+    Discrete(u8),
+    Continuous(Vec<f32>),
+}
+
+impl Serialize for ActionValue {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match (self.clone(), serializer.is_human_readable()) {
+            (ActionValue::Discrete(index), true) => Plain::Discrete(index).serialize(serializer),
+            (ActionValue::Continuous(numbers), true) => Plain::Continuous(numbers).serialize(serializer),
+            (ActionValue::Discrete(index), false) => Tagged::Discrete(index).serialize(serializer),
+            (ActionValue::Continuous(numbers), false) => Tagged::Continuous(numbers).serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for ActionValue {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(if deserializer.is_human_readable() {
+            match Plain::deserialize(deserializer)? {
+                Plain::Discrete(index) => ActionValue::Discrete(index),
+                Plain::Continuous(numbers) => ActionValue::Continuous(numbers),
+            }
+        } else {
+            match Tagged::deserialize(deserializer)? {
+                Tagged::Discrete(index) => ActionValue::Discrete(index),
+                Tagged::Continuous(numbers) => ActionValue::Continuous(numbers),
+            }
+        })
     }
 }
 
@@ -247,5 +396,51 @@ impl Demonstration {
             .position(|name| name.starts_with(letter.to_ascii_lowercase()))
             .expect("a demonstration names actions by their first letter");
         Discrete(index as u8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TORQUES: ActionSpec = ActionSpec::Continuous { names: &["shoulder", "elbow"], low: -1.0, high: 1.0 };
+    const MOVES: ActionSpec = ActionSpec::Discrete(&["up", "down"]);
+
+    #[test]
+    fn actions_come_back_from_their_plain_form() {
+        let (down, torque) = (Discrete(1), Continuous([0.5, -3.0]));
+        assert_eq!(Discrete::from_value(&down.value(), &MOVES), Some(down));
+        assert_eq!(Continuous::from_value(&torque.value(), &TORQUES), Some(torque));
+        assert_eq!(Discrete::from_value(&ActionValue::Discrete(2), &MOVES), None);
+        assert_eq!(Discrete::from_value(&torque.value(), &MOVES), None);
+        assert_eq!(Continuous::<2>::from_value(&down.value(), &TORQUES), None);
+        assert_eq!(Continuous::<2>::from_value(&ActionValue::Continuous([0.0; 3].to_vec()), &TORQUES), None);
+        assert_eq!(Continuous::<2>::from_value(&ActionValue::Continuous([f32::NAN, 0.0].to_vec()), &TORQUES), None);
+        assert_eq!(TORQUES.name(&torque.value()), "shoulder +0.50, elbow -3.00");
+        assert_eq!(
+            (&*MOVES.name(&down.value()), &*alloc::format!("{}", down.value()), &*alloc::format!("{}", torque.value())),
+            ("down", "1", "0.5 -3")
+        );
+    }
+
+    #[test]
+    fn plain_forms_come_back_from_text_and_from_bytes() {
+        for (value, text) in [(Discrete(3).value(), "3"), (Continuous([0.25, -1.0]).value(), "[0.25,-1.0]")] {
+            assert_eq!(serde_json::to_string(&value).unwrap(), text);
+            assert_eq!(serde_json::from_str::<ActionValue>(text).unwrap(), value);
+            let bytes = postcard::to_allocvec(&value).unwrap();
+            assert_eq!(postcard::from_bytes::<ActionValue>(&bytes).unwrap(), value);
+        }
+        let bytes = postcard::to_allocvec(&Continuous([0.25, -1.0])).unwrap();
+        assert_eq!(postcard::from_bytes::<Continuous<2>>(&bytes).unwrap(), Continuous([0.25, -1.0]));
+        assert!(postcard::from_bytes::<Continuous<3>>(&bytes).is_err());
+    }
+
+    #[test]
+    fn random_actions_fill_their_range() {
+        let mut rng = Rng::new(1);
+        let drawn: Vec<f32> = (0..1000).flat_map(|_| Continuous::<2>::sample(&TORQUES, &mut rng).0).collect();
+        let (least, most) = drawn.iter().fold((0.0f32, 0.0f32), |(l, m), &x| (l.min(x), m.max(x)));
+        assert!((-1.0..-0.99).contains(&least) && (0.99..1.0).contains(&most), "{least} {most}");
     }
 }

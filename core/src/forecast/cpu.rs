@@ -146,7 +146,7 @@ mod tests {
     use super::*;
     use crate::env::box_moving::BoxMoving;
     use crate::env::{Discrete, ObservationSpec};
-    use crate::nn::mlp::Scratch;
+    use crate::nn::mlp::{Mlp, Scratch};
     use crate::nn::rows::Rows;
     use crate::replay::ReplayBuffer;
     use alloc::vec;
@@ -174,6 +174,9 @@ mod tests {
         }
         fn for_forecast(&self, _: bool, _: bool) -> Self {
             self.clone()
+        }
+        fn networks(&self) -> Vec<(&'static str, &Mlp)> {
+            Vec::new()
         }
         fn is_finite(&self) -> bool {
             true

@@ -3,7 +3,7 @@
 
 use alloc::vec::Vec;
 
-use crate::env::ObservationSpec;
+use crate::env::{Encoded, ObservationSpec};
 
 /// An observation in packed form: the ascending positions of its ones (binary), or the bits of its
 /// numbers. Equal observations have equal words.
@@ -69,19 +69,35 @@ impl Rows {
         self.len += 1;
     }
 
-    /// Adds row `row` of `states` followed by the one-hot action `action` of `actions`: the input of a
-    /// reward model. `self.width` is `states.width + actions`.
-    pub fn push_pair(&mut self, states: &Rows, row: usize, action: usize) {
-        if self.binary {
-            self.indices.extend_from_slice(states.ones(row));
-            self.indices.push((states.width + action) as u32);
-            self.ends.push(self.indices.len());
-        } else {
-            self.values.extend_from_slice(&states.values[row * states.width..(row + 1) * states.width]);
-            let actions = self.width - states.width;
-            self.values.extend((0..actions).map(|a| if a == action { 1.0 } else { 0.0 }));
+    /// Adds row `row` of `states` followed by an action: the input of a reward model or a critic.
+    /// `self.width` is that of `states` and of the action together.
+    ///
+    /// # Panics
+    /// If rows are binary and the action is made of numbers.
+    pub fn push_pair(&mut self, states: &Rows, row: usize, action: Encoded<'_>) {
+        match action {
+            Encoded::OneHot(index) if self.binary => {
+                self.indices.extend_from_slice(states.ones(row));
+                self.indices.push((states.width + index) as u32);
+                self.ends.push(self.indices.len());
+            }
+            Encoded::OneHot(index) => {
+                self.values.extend_from_slice(states.numbers(row));
+                let actions = self.width - states.width;
+                self.values.extend((0..actions).map(|a| if a == index { 1.0 } else { 0.0 }));
+            }
+            Encoded::Numbers(numbers) => {
+                assert!(!self.binary, "binary rows hold no numbers");
+                self.values.extend_from_slice(states.numbers(row));
+                self.values.extend_from_slice(numbers);
+            }
         }
         self.len += 1;
+    }
+
+    /// The numbers of a dense row.
+    pub fn numbers(&self, row: usize) -> &[f32] {
+        &self.values[row * self.width..(row + 1) * self.width]
     }
 
     /// Number of rows.

@@ -461,7 +461,7 @@ fn bytes_that_are_no_snapshot_are_answered() {
     }
     let mut newer = good.clone();
     newer[8] = 9;
-    assert!(answer(&newer).contains("format version 9, this program reads version 2"));
+    assert!(answer(&newer).contains("format version 9, this program reads version 3"));
 }
 
 #[test]

@@ -5,7 +5,6 @@
 
 use std::fmt::Write as _;
 
-use mcvl_core::env::ActionValue;
 use mcvl_core::record::{CheckRecord, FutureRecord, Subject, Verdict};
 
 use super::File;
@@ -72,7 +71,6 @@ const CHECK_COLUMNS: &str = "arm,check,step,updates,action,end,reward_raw,reward
                              performance_with,performance_without,hack,wrong";
 
 fn check(check: &CheckRecord) -> String {
-    let ActionValue::Discrete(action) = check.action;
     let verdict = match check.verdict {
         Verdict::Accept => "accept",
         Verdict::Refuse => "refuse",
@@ -89,7 +87,7 @@ fn check(check: &CheckRecord) -> String {
         &check.number,
         &check.step,
         &check.updates,
-        &action,
+        &check.action,
         &end_name(check.end),
         &check.reward_raw,
         &check.reward,

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Config;
-use mcvl_core::env::{ActionValue, EpisodeEnd};
+use mcvl_core::env::EpisodeEnd;
 use mcvl_core::record::{CheckRecord, Event, Recorder, StepRecord};
 use mcvl_core::run::Run;
 use sha2::{Digest as _, Sha256};
@@ -157,12 +157,12 @@ pub fn end_name(end: Option<EpisodeEnd>) -> &'static str {
 
 /// The row of a step in `steps.csv`. Numbers are printed with the fewest digits that read back exactly.
 pub fn step_row(step: &StepRecord) -> String {
-    let ActionValue::Discrete(action) = step.action;
     let end = end_name(step.end);
     format!(
-        "{},{},{action},{},{},{},{},{},{},{end}",
+        "{},{},{},{},{},{},{},{},{},{end}",
         step.arm.name(),
         step.step,
+        step.action,
         step.reward_raw,
         step.performance,
         step.reward,
@@ -300,7 +300,7 @@ mod tests {
         StepRecord {
             arm: Arm::Safe,
             step: number,
-            action: ActionValue::Discrete(1),
+            action: mcvl_core::env::Discrete(1).into(),
             reward_raw: -0.0,
             performance: 5.0,
             reward: 1e-30,

@@ -90,7 +90,7 @@ fn the_frozen_learner_stays_what_it_was_at_the_switch() {
     // It explores as the plain learner does while all is random.
     let actions = |events: &[Event]| -> Vec<_> {
         let of = |event: &Event| match event {
-            Event::Step(step) if step.arm != Arm::Safe => Some(step.action),
+            Event::Step(step) if step.arm != Arm::Safe => Some(step.action.clone()),
             _ => None,
         };
         events.iter().filter_map(of).take(60).collect()

@@ -175,7 +175,7 @@ fn practice_changes_both_futures_and_leaves_the_judge() {
             let mut observation = alloc::vec![0.0; 11];
             world.reset(&mut Rng::new(0), &mut observation);
             for (action, predicted) in film.actions.iter().zip(&film.predicted) {
-                let crate::env::ActionValue::Discrete(index) = *action;
+                let crate::env::ActionValue::Discrete(index) = *action else { panic!("{action:?}") };
                 let mut rows = Rows::new(world.spec().observation);
                 rows.push_observation(&observation);
                 let mut numbers = Vec::new();

@@ -90,7 +90,7 @@ fn the_slope_of_exploration_goes_on_where_it_is_not_clamped() {
 #[test]
 fn checks_move_the_learners_stream_only_if_they_share_it() {
     // Without forecast updates every check is a tie and accepts: only the streams can differ.
-    let actions = |more: &str| steps(&short(more)).iter().map(|step| step.action).collect::<Vec<_>>();
+    let actions = |more: &str| steps(&short(more)).iter().map(|step| step.action.clone()).collect::<Vec<_>>();
     let plain = actions("agent=baseline");
     assert_eq!(actions("scheme=all forecast=0"), plain);
     assert_ne!(actions("scheme=all forecast=0 own_streams=false"), plain);

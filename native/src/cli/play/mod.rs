@@ -111,7 +111,9 @@ impl Game {
             config.set("variant", &arguments.variant)?;
         }
         let play = Play::new(&config, if safe { Arm::Safe } else { Arm::Baseline });
-        let ActionSpec::Discrete(names) = play.spec().actions;
+        let ActionSpec::Discrete(names) = play.spec().actions else {
+            usage!("mcvl play drives worlds with numbered actions; {} takes torques", arguments.env);
+        };
         Ok(Self {
             experiment,
             variant: arguments.variant.clone(),

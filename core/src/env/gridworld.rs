@@ -1,0 +1,67 @@
+//! One type for every gridworld, so that the trainer, the forecasts and the rollouts are compiled once
+//! for all of them and the page's module holds them once.
+
+use serde::{Deserialize, Serialize};
+
+use super::absent_supervisor::AbsentSupervisor;
+use super::box_moving::BoxMoving;
+use super::rocks_and_diamonds::RocksAndDiamonds;
+use super::tomato_watering::TomatoWatering;
+use super::{BuiltIn, Discrete, EnvSpec, Environment, Frame, Step};
+use crate::config::Config;
+use crate::rng::Rng;
+
+macro_rules! gridworlds {
+    ($($world:ident),+) => {
+        /// Any of the gridworlds.
+        #[derive(Clone, Debug, Serialize, Deserialize)]
+        pub enum Gridworld {
+            $(
+                #[doc = concat!("[`", stringify!($world), "`].")]
+                $world($world),
+            )+
+        }
+
+        impl Gridworld {
+            /// Names of the gridworlds, as in `env=`, in the order of the table of experiments.
+            pub const NAMES: &'static [&'static str] = &[$($world::NAME),+];
+
+            /// The Safe and the Full world of a configuration; `None` if it is of no gridworld.
+            pub fn worlds(config: &Config) -> Option<(Self, Self)> {
+                match &*config.env {
+                    $($world::NAME => {
+                        let (safe, full) = $world::worlds(config);
+                        Some((Self::$world(safe), Self::$world(full)))
+                    })+
+                    _ => None,
+                }
+            }
+        }
+
+        impl Environment for Gridworld {
+            type Action = Discrete;
+
+            fn spec(&self) -> &EnvSpec {
+                match self { $(Self::$world(world) => world.spec()),+ }
+            }
+
+            fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+                match self { $(Self::$world(world) => world.reset(rng, observation)),+ }
+            }
+
+            fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+                match self { $(Self::$world(world) => world.step(action, rng, observation)),+ }
+            }
+
+            fn model(&self) -> Self {
+                match self { $(Self::$world(world) => Self::$world(world.model())),+ }
+            }
+
+            fn frame(&self) -> Frame {
+                match self { $(Self::$world(world) => world.frame()),+ }
+            }
+        }
+    };
+}
+
+gridworlds!(BoxMoving, AbsentSupervisor, TomatoWatering, RocksAndDiamonds);
