@@ -21,7 +21,7 @@ use crate::digest::Digest;
 use crate::env::box_moving::{BoxMoving, Variant};
 use crate::env::{Action, Discrete, Environment, ObservationSpec};
 use crate::forecast::cpu::CpuForecaster;
-use crate::forecast::{ForecastJob, Forecaster, Practice};
+use crate::forecast::{Carry, ForecastJob, Forecaster, Practice};
 use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
 use crate::record::Event;
@@ -141,6 +141,7 @@ impl Fixture {
             updates: self.config.forecast,
             batch: 32,
             seed: 11,
+            carry: Carry::ALL,
             version: 3,
             practice,
         };

@@ -315,10 +315,10 @@ impl<A: Clone> Minibatch<A> {
     pub fn gather(&mut self, replay: &ReplayBuffer<A>, slots: &[u32], forced: &Forced<A>) {
         let known = replay.observations.rows.len();
         let ids = known + forced.extra.len();
-        self.row_of.clear();
-        self.row_of.resize(ids, NO_ROW);
-        self.next_row_of.clear();
-        self.next_row_of.resize(ids, NO_ROW);
+        if self.row_of.len() < ids {
+            self.row_of.resize(ids, NO_ROW);
+            self.next_row_of.resize(ids, NO_ROW);
+        }
         self.rows.clear(replay.spec);
         self.next_rows.clear(replay.spec);
         self.actions.clear();
@@ -362,6 +362,10 @@ impl<A: Clone> Minibatch<A> {
             let known = id != NO_ROW;
             self.next.push(if known { number(id, row_of, rows) } else { NO_ROW });
             self.next_target.push(if known { number(id, next_row_of, next_rows) } else { NO_ROW });
+        }
+        // Only what was numbered is forgotten: of numbers, a buffer holds as many observations as transitions.
+        for &id in self.ids.iter().chain(&self.next_ids).filter(|id| **id != NO_ROW) {
+            (row_of[id as usize], next_row_of[id as usize]) = (NO_ROW, NO_ROW);
         }
     }
 }

@@ -33,12 +33,13 @@ use serde::{Deserialize, Serialize};
 use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
+use crate::agent::td3::Td3;
 use crate::check::Disposition;
 use crate::check::utility::{Rollout, Start};
 use crate::config::{CheckAfter, Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::paying::Paying;
-use crate::env::{Action, Discrete, Environment, EpisodeEnd, Frame, Step};
+use crate::env::{Action, Continuous, Discrete, Environment, EpisodeEnd, Frame, Step};
 use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
@@ -111,6 +112,15 @@ impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
     /// A DDQN learner with the networks that `config` describes, drawn from its seed.
     pub fn gridworld(config: Config, safe: E, full: E) -> Self {
         let agent = Ddqn::configured(&config, safe.spec());
+        let reward = RewardModel::configured(&config, safe.spec());
+        Self::new(config, safe, full, agent, reward)
+    }
+}
+
+impl<E: Environment<Action = Continuous<N>>, const N: usize> Trainer<E, Td3<N>> {
+    /// A TD3 learner with the networks that `config` describes, drawn from its seed.
+    pub fn continuous(config: Config, safe: E, full: E) -> Self {
+        let agent = Td3::configured(&config, safe.spec());
         let reward = RewardModel::configured(&config, safe.spec());
         Self::new(config, safe, full, agent, reward)
     }
@@ -405,6 +415,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         (c.epsilon_start + (c.epsilon_end - c.epsilon_start) * part).clamp(0.0, 1.0)
     }
 
+    /// Steps of Safe training before its first update.
+    fn learning_starts(&self) -> u32 {
+        if self.config.learning_starts > 0 { self.config.learning_starts } else { self.config.exploration }
+    }
+
     /// True if an evaluation is due after `step` steps of the leg.
     fn evaluation_due(&self, step: u32) -> bool {
         let (points, steps) = (u64::from(self.config.evaluations), u64::from(self.steps()));
@@ -479,7 +494,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.store(transition, disposition);
         // Safe training updates after its exploration steps (R9), the Full leg from its first step (R10).
         let learning = match self.arm {
-            Arm::Safe => self.step > self.config.exploration,
+            Arm::Safe => self.step > self.learning_starts(),
             Arm::Frozen => false,
             _ => true,
         };

@@ -19,6 +19,7 @@ use super::Agent;
 use crate::config::Config;
 use crate::digest::Digest;
 use crate::env::{ActionSpec, Discrete, EnvSpec, ObservationSpec};
+use crate::forecast::Carry;
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::smooth_l1;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
@@ -180,12 +181,12 @@ impl Agent for Ddqn {
         loss
     }
 
-    fn for_forecast(&self, target: bool, optimizer: bool) -> Self {
+    fn for_forecast(&self, carry: Carry) -> Self {
         let mut copy = self.clone();
-        if !target {
+        if !carry.target {
             copy.target = self.online.clone();
         }
-        if !optimizer {
+        if !carry.optimizer {
             copy.optimizer = self.optimizer.restarted();
         }
         copy
@@ -281,15 +282,15 @@ mod tests {
         let mut agent = agent(1e-2, 8);
         let batch = batch(&[transition(0, 0, 1.0, 1, false), transition(1, 1, -1.0, 0, false)]);
         (0..20).for_each(|_| _ = agent.update(&batch, &mut Rng::new(0)));
-        let all = agent.for_forecast(true, true);
+        let all = agent.for_forecast(Carry::ALL);
         assert_eq!((&all.online, &all.target, &all.optimizer), (&agent.online, &agent.target, &agent.optimizer));
-        let target = agent.for_forecast(false, true);
+        let target = agent.for_forecast(Carry { target: false, optimizer: true });
         assert_eq!(
             (&target.online, &target.target, &target.optimizer),
             (&agent.online, &agent.online, &agent.optimizer)
         );
         assert_ne!(agent.online, agent.target);
-        let optimizer = agent.for_forecast(true, false);
+        let optimizer = agent.for_forecast(Carry { target: true, optimizer: false });
         assert_eq!((&optimizer.online, &optimizer.target), (&agent.online, &agent.target));
         assert_eq!((agent.optimizer.steps(), optimizer.optimizer.steps()), (20, 0));
         let next = |mut agent: Ddqn| {

@@ -2,10 +2,12 @@
 
 pub mod ddqn;
 pub mod reward_model;
+pub mod td3;
 
 use alloc::vec::Vec;
 
 use crate::env::{Action, ActionSpec};
+use crate::forecast::Carry;
 use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
 use crate::replay::Minibatch;
@@ -30,9 +32,8 @@ pub trait Agent: Clone {
     /// One gradient update on a mini-batch; returns the mean loss before it.
     fn update(&mut self, batch: &Minibatch<Self::Action>, rng: &mut Rng) -> f32;
 
-    /// The copy from which a forecast starts (specification R15): with the target network, or with one equal
-    /// to the live network; with the optimiser's moments, or with none.
-    fn for_forecast(&self, target: bool, optimizer: bool) -> Self;
+    /// The copy from which a forecast starts, with what it takes along.
+    fn for_forecast(&self, carry: Carry) -> Self;
 
     /// The networks with their names, for files that other programs read.
     fn networks(&self) -> Vec<(&'static str, &Mlp)>;

@@ -72,7 +72,7 @@ impl<E, A: Agent> Default for CpuForecaster<E, A> {
 impl<E: Environment<Action = A::Action>, A: Agent> Future<E, A> {
     fn new(job: &ForecastJob<'_, E, A>) -> Self {
         Self {
-            agent: job.agent.clone(),
+            agent: job.agent.for_forecast(job.carry),
             forced: Forced::new(job.forced, job.replay),
             draws: Rng::stream(job.seed, Purpose::ForecastBatch, job.version),
             noise: Rng::stream(job.seed, Purpose::ForecastUpdate, job.version),
@@ -143,6 +143,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Forecaster<E, A> for CpuForec
 
 #[cfg(test)]
 mod tests {
+    use super::super::Carry;
     use super::*;
     use crate::env::box_moving::BoxMoving;
     use crate::env::{Discrete, ObservationSpec};
@@ -172,7 +173,7 @@ mod tests {
             self.0.push(batch.rewards.clone());
             0.0
         }
-        fn for_forecast(&self, _: bool, _: bool) -> Self {
+        fn for_forecast(&self, _: Carry) -> Self {
             self.clone()
         }
         fn networks(&self) -> Vec<(&'static str, &Mlp)> {
@@ -210,7 +211,17 @@ mod tests {
         forced: &'a [Transition<Discrete>],
         seed: u64,
     ) -> ForecastJob<'a, BoxMoving, Diary> {
-        ForecastJob { agent, replay, forced, updates: 50, batch: 32, seed, version: 3, practice: None }
+        ForecastJob {
+            agent,
+            replay,
+            forced,
+            updates: 50,
+            batch: 32,
+            seed,
+            carry: Carry::ALL,
+            version: 3,
+            practice: None,
+        }
     }
 
     fn ready(poll: Poll<Result<Vec<Diary>, ForecastError>>) -> Vec<Diary> {

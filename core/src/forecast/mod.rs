@@ -15,11 +15,25 @@ use crate::agent::Agent;
 use crate::replay::{ReplayBuffer, Transition};
 use crate::run::Budget;
 
+/// What a forecast takes along from the live learner besides its parameters (specification R15).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Carry {
+    /// The target networks; without, they start equal to the live networks.
+    pub target: bool,
+    /// The moments of the optimisers; without, they start anew.
+    pub optimizer: bool,
+}
+
+impl Carry {
+    /// Everything: what would really happen.
+    pub const ALL: Self = Self { target: true, optimizer: true };
+}
+
 /// One future to train: a copy of `agent` makes `updates` updates on mini-batches from `replay`, each
 /// with the forced transitions appended (specification R13 to R17); where it practises, on those of a copy
 /// of `replay` that grows by its practice. Nothing of the job is changed.
 pub struct ForecastJob<'a, E, A: Agent> {
-    /// Start: parameters, target network and moments of the optimiser.
+    /// The learner that is copied.
     pub agent: &'a A,
     /// Where the mini-batches come from.
     pub replay: &'a ReplayBuffer<A::Action>,
@@ -31,6 +45,8 @@ pub struct ForecastJob<'a, E, A: Agent> {
     pub batch: u32,
     /// Seed of the run.
     pub seed: u64,
+    /// What the copy takes along.
+    pub carry: Carry,
     /// Learner version: jobs with equal seed and version draw the same mini-batches.
     pub version: u64,
     /// Where and how it practises, if it does.

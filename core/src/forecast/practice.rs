@@ -118,6 +118,7 @@ impl<E: Environment<Action = A>, A: Action> Practising<E, A> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Carry;
     use super::*;
     use crate::agent::ddqn::Ddqn;
     use crate::env::box_moving::{BoxMoving, Variant};
@@ -183,7 +184,8 @@ mod tests {
         for forced in [core::slice::from_ref(&surprise), &[]] {
             let replay = &replay;
             let (agent, practice) = (&agent, Some(practice()));
-            let job = ForecastJob { agent, replay, forced, updates: 20, batch: 32, seed: 1, version: 5, practice };
+            let (carry, version) = (Carry::ALL, 5);
+            let job = ForecastJob { agent, replay, forced, updates: 20, batch: 32, seed: 1, carry, version, practice };
             let mut own = Practising::new(job.practice.as_ref().unwrap(), &job);
             let (mut batch, mut slots) = (Minibatch::default(), Vec::new());
             for _ in 0..200 {

@@ -207,6 +207,42 @@ impl Mlp {
         &scratch.layers[0][..rows.len() * self.sizes[1]]
     }
 
+    /// Derivative of a scalar loss with respect to the inputs of a layer from input `from` on, given that
+    /// with respect to its outputs, `[rows, outputs]`; writes `[rows, inputs - from]` to `out`.
+    fn data_gradient(&self, layer: Layer, from: usize, delta: Matrix<'_>, transposed: &mut Buffer, out: &mut Buffer) {
+        let isa = Isa::active();
+        let (inputs, outputs) = (layer.inputs - from, layer.outputs);
+        let own = Matrix::new(&self.params[layer.weights + from * outputs..], inputs, outputs);
+        isa::transpose(isa, own, transposed.at_least(inputs * outputs));
+        let output = Output { data: out.at_least(delta.rows * inputs), bias: None, relu: false };
+        isa::product(isa, delta, Matrix::new(transposed, outputs, inputs), output);
+    }
+
+    /// Gradient of a scalar loss with respect to the inputs from input `from` on, `[count, width - from]`,
+    /// given its derivative with respect to the outputs of the first `count` rows of the last forward pass
+    /// with the same `scratch`. The slice lives in `scratch`.
+    pub fn input_gradient<'s>(
+        &self,
+        count: usize,
+        output_gradient: &[f32],
+        from: usize,
+        scratch: &'s mut Scratch,
+    ) -> &'s [f32] {
+        let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
+        delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
+        let layers: Vec<Layer> = self.layers().collect();
+        for (index, layer) in layers.iter().enumerate().rev() {
+            let d = Matrix::new(delta, count, layer.outputs);
+            let skipped = if index == 0 { from } else { 0 };
+            self.data_gradient(*layer, skipped, d, transposed, next_delta);
+            if index > 0 {
+                pass_where_active(&mut next_delta[..count * layer.inputs], &activations[index - 1]);
+            }
+            core::mem::swap(delta, next_delta);
+        }
+        &delta[..count * (self.sizes[0] - from)]
+    }
+
     /// Gradient of a scalar loss, given its derivative with respect to the outputs of the first `count`
     /// rows of the last forward pass with the same `rows` and `scratch`: `output_gradient` is
     /// `[count, outputs]`, row-major. [`Gradient::clear`] the old gradient before.
@@ -236,13 +272,8 @@ impl Mlp {
             if index > 0 {
                 let h = Matrix::new(&activations[index - 1], count, inputs);
                 isa::product_transposed(isa, h, d, weights);
-                let own = Matrix::new(&self.params[layer.weights..], inputs, outputs);
-                isa::transpose(isa, own, transposed.at_least(inputs * outputs));
-                let output = Output { data: next_delta.at_least(count * inputs), bias: None, relu: false };
-                isa::product(isa, d, Matrix::new(transposed, outputs, inputs), output);
-                for (x, h) in next_delta[..count * inputs].iter_mut().zip(h.data) {
-                    *x = if *h > 0.0 { *x } else { 0.0 };
-                }
+                self.data_gradient(*layer, 0, d, transposed, next_delta);
+                pass_where_active(&mut next_delta[..count * inputs], h.data);
                 core::mem::swap(delta, next_delta);
             } else if rows.is_binary() {
                 for row in 0..count {
@@ -258,6 +289,13 @@ impl Mlp {
                 isa::product_transposed(isa, x, d, weights);
             }
         }
+    }
+}
+
+/// The derivative through a ReLU whose outputs were `activations`.
+fn pass_where_active(delta: &mut [f32], activations: &[f32]) {
+    for (x, h) in delta.iter_mut().zip(activations) {
+        *x = if *h > 0.0 { *x } else { 0.0 };
     }
 }
 

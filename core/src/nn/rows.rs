@@ -95,6 +95,17 @@ impl Rows {
         self.len += 1;
     }
 
+    /// Adds row `row` of `other`, which is of the same kind.
+    pub fn push_row(&mut self, other: &Rows, row: usize) {
+        if self.binary {
+            self.indices.extend_from_slice(other.ones(row));
+            self.ends.push(self.indices.len());
+        } else {
+            self.values.extend_from_slice(other.numbers(row));
+        }
+        self.len += 1;
+    }
+
     /// The numbers of a dense row.
     pub fn numbers(&self, row: usize) -> &[f32] {
         &self.values[row * self.width..(row + 1) * self.width]

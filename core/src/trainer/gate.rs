@@ -10,7 +10,7 @@ use crate::check::utility::{Judge, Start, rate, summarise};
 use crate::check::{Disposition, Trigger, decide};
 use crate::config::{Against, Scheme};
 use crate::env::{Action, Environment, EpisodeEnd};
-use crate::forecast::{ForecastError, ForecastJob, Forecaster, Practice};
+use crate::forecast::{Carry, ForecastError, ForecastJob, Forecaster, Practice};
 use crate::record::{CheckRecord, Event, FutureRecord, Recorder, StartState, Subject, Verdict};
 use crate::rng::{Purpose, Rng};
 use crate::run::{Budget, RunError};
@@ -83,14 +83,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let (updates, draw) = (self.updates, pending.draw);
         // Streams of the unmodified future where they are to be others.
         let other = |paired: bool| if paired { draw } else { !draw };
-        let restarted;
-        let agent = if c.copy_target && c.copy_optimizer {
-            &self.agent
-        } else {
-            restarted = self.agent.for_forecast(c.copy_target, c.copy_optimizer);
-            &restarted
-        };
-        let (replay, batch, seed) = (&self.replay, c.batch, c.seed);
+        let (agent, replay, batch, seed) = (&self.agent, &self.replay, c.batch, c.seed);
         let world = c.practice.then(|| self.world.world().model());
         let job = |forced, updates, version| ForecastJob {
             agent,
@@ -99,6 +92,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             updates,
             batch,
             seed,
+            carry: Carry { target: c.copy_target, optimizer: c.copy_optimizer },
             version,
             practice: world.as_ref().map(|world| Practice {
                 world,

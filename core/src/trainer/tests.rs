@@ -9,8 +9,8 @@ use super::*;
 use crate::check::utility::{Judge, rate};
 use crate::env::box_moving::{BoxMoving, Variant};
 use crate::env::{EnvSpec, ObservationSpec};
-use crate::forecast::ForecastJob;
 use crate::forecast::cpu::CpuForecaster;
+use crate::forecast::{Carry, ForecastJob};
 use crate::record::{CheckRecord, FutureRecord, StartState};
 use crate::run::Run;
 use alloc::string::{String, ToString};
@@ -198,6 +198,7 @@ fn the_two_futures_differ_only_in_the_forced_transition() {
         updates: 30,
         batch: 32,
         seed: 1,
+        carry: Carry::ALL,
         version: 5,
         practice: None,
     };

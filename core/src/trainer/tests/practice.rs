@@ -1,7 +1,7 @@
 //! Forecasts that practise in the transition model (specification R27).
 
 use super::*;
-use crate::forecast::Practice;
+use crate::forecast::{Carry, Practice};
 use alloc::rc::Rc;
 use core::cell::RefCell;
 
@@ -48,6 +48,7 @@ fn futures_of(
             updates: 30,
             batch: 32,
             seed: 1,
+            carry: Carry::ALL,
             version: 5,
             practice: Some(Practice {
                 world,
