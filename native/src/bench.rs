@@ -17,7 +17,7 @@ use mcvl_core::config::{Config, ConfigError, Learner, Preset};
 use mcvl_core::env::box_moving::BoxMoving;
 use mcvl_core::env::{Action as _, Discrete, EpisodeEnd};
 use mcvl_core::forecast::cpu::CpuForecaster;
-use mcvl_core::forecast::{ForecastJob, Forecaster as _};
+use mcvl_core::forecast::{Carry, ForecastJob, Forecaster as _};
 use mcvl_core::nn::gemm::PROBE_LANES;
 use mcvl_core::nn::isa::{Isa, probe};
 use mcvl_core::play::Play;
@@ -225,6 +225,7 @@ impl Bench {
                 updates: FORECAST,
                 batch: self.config.batch,
                 seed: 0,
+                carry: Carry::ALL,
                 version: 0,
                 practice: None,
             }];
