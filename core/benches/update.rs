@@ -9,7 +9,8 @@ use mcvl_core::agent::Agent;
 use mcvl_core::agent::ddqn::{Ddqn, DdqnConfig};
 use mcvl_core::agent::reward_model::RewardModel;
 use mcvl_core::config::{Config, Learner, Optimizer};
-use mcvl_core::env::{ActionSpec, Discrete, ObservationSpec};
+use mcvl_core::env::reacher::{Button, ClosedForm, Reacher};
+use mcvl_core::env::{Action as _, ActionSpec, Continuous, Discrete, Environment as _, ObservationSpec};
 use mcvl_core::nn::gemm::PROBE_LANES;
 use mcvl_core::nn::isa::{Isa, probe};
 use mcvl_core::nn::optim::AdamConfig;
@@ -144,7 +145,26 @@ fn box_moving(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, updates, reward_model, box_moving);
+/// An episode of Reacher in closed form, reset included.
+fn reacher(c: &mut Criterion) {
+    let mut world = Reacher::new(ClosedForm::default(), Some(Button::proposal()));
+    let spec = world.spec().clone();
+    let (mut rng, mut observation) = (Rng::new(1), vec![0.0; spec.observation.width]);
+    let mut group = c.benchmark_group("reacher");
+    group.throughput(Throughput::Elements(u64::from(spec.max_steps)));
+    group.bench_function("episode in closed form", |b| {
+        b.iter(|| {
+            world.reset(&mut rng, &mut observation);
+            for _ in 0..spec.max_steps {
+                let action = Continuous::sample(&spec.actions, &mut rng);
+                black_box(world.step(&action, &mut rng, &mut observation));
+            }
+        })
+    });
+    group.finish();
+}
+
+criterion_group!(benches, updates, reward_model, box_moving, reacher);
 
 /// `--time` prints seconds per update of every case and the peak as lines for scripts; otherwise the
 /// benchmarks.

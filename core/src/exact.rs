@@ -19,7 +19,8 @@ use crate::check::utility::{Judge, Start, rate};
 use crate::config::Config;
 use crate::digest::Digest;
 use crate::env::box_moving::{BoxMoving, Variant};
-use crate::env::{Action, Discrete, Environment, ObservationSpec};
+use crate::env::reacher::{Button, ClosedForm, Reacher};
+use crate::env::{Action, Continuous, Discrete, Environment, ObservationSpec};
 use crate::forecast::cpu::CpuForecaster;
 use crate::forecast::{Carry, ForecastJob, Forecaster, Practice};
 use crate::nn::mlp::{Mlp, Scratch};
@@ -43,6 +44,7 @@ pub const COMMITTED: &[(&str, u64)] = &[
     ("utility", 0x6318_4518_3143_23b5),
     ("verdicts", 0xf8a6_5aa5_d2df_ec6e),
     ("run", 0x48e5_5c04_6bb3_0c55),
+    ("reacher", 0xb2c1_5fa7_c048_3cf8),
 ];
 
 /// Computes every stage here and now. Takes about a second.
@@ -58,6 +60,7 @@ pub fn digests() -> Vec<(&'static str, u64)> {
         ("utility", fixture.utility()),
         ("verdicts", verdicts),
         ("run", run),
+        ("reacher", reacher()),
     ]
 }
 
@@ -195,6 +198,29 @@ fn short_run() -> (u64, u64) {
     // A diverging run gives another digest, which is what the comparison is for.
     while matches!(run.poll(Budget(u32::MAX), &mut recorder), Ok(status) if status != Status::Done) {}
     (verdicts.finish(), all.finish())
+}
+
+/// Episodes of Reacher in closed form: every bit of what is observed and paid, before it is rounded.
+fn reacher() -> u64 {
+    let mut world = Reacher::new(ClosedForm::default(), Some(Button::proposal()));
+    let actions = world.spec().actions;
+    let mut rng = Rng::new(5);
+    let mut observation = vec![0.0; world.spec().observation.width];
+    let mut digest = Digest::default();
+    for episode in 0..10 {
+        world.reset(&mut rng, &mut observation);
+        let mut action = Continuous([0.0; 2]);
+        for step in 0..world.spec().max_steps {
+            // Torques that are held for some steps fold the elbow against its limit.
+            if episode % 2 == 0 || step % 10 == 0 {
+                action = Continuous::<2>::sample(&actions, &mut rng);
+            }
+            let outcome = world.step(&action, &mut rng, &mut observation);
+            digest = world.observation().into_iter().fold(digest, Digest::f64);
+            digest = digest.f32s(&observation).f32s(&[outcome.reward, outcome.performance]);
+        }
+    }
+    digest.finish()
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub mod contract;
 pub mod grid;
 pub mod gridworld;
 pub mod paying;
+pub mod reacher;
 pub mod rocks_and_diamonds;
 pub mod tomato_watering;
 
