@@ -87,24 +87,30 @@ fn folder() -> PathBuf {
     env::var_os("MCVL_GOLDEN_DIR").map_or_else(data, PathBuf::from)
 }
 
+/// The lines of a recording, each read by `read` (`None`: not one of those that are asked for).
+pub(crate) fn lines<T>(name: &str, read: impl Fn(&str) -> serde_json::Result<Option<T>>) -> Result<Vec<T>> {
+    let path = folder().join(name);
+    let file = File::open(&path).with_context(|| format!("{}: recorded episodes", path.display()))?;
+    let mut found = Vec::new();
+    for (line, number) in BufReader::new(GzDecoder::new(file)).lines().zip(1..) {
+        let line = line.with_context(|| format!("{}: not gzip", path.display()))?;
+        found.extend(read(&line).with_context(|| format!("{}: line {number} is no recorded episode", path.display()))?);
+    }
+    if found.is_empty() {
+        bail!("{}: no episode of what is asked for", path.display());
+    }
+    Ok(found)
+}
+
 /// Every recorded episode of a world, in the recording's spelling.
 ///
 /// # Errors
 /// If the file is not there, cannot be understood, or has no such episode.
 pub fn episodes(world: &str) -> Result<Vec<Episode>> {
-    let path = folder().join("gridworld_golden.jsonl.gz");
-    let file = File::open(&path).with_context(|| format!("{}: recorded episodes", path.display()))?;
-    let mut episodes = Vec::new();
-    for (line, number) in BufReader::new(GzDecoder::new(file)).lines().zip(1..) {
-        let line = line.with_context(|| format!("{}: not gzip", path.display()))?;
-        let wrong = || format!("{}: line {number} is no recorded episode", path.display());
-        let label: Label = serde_json::from_str(&line).with_context(wrong)?;
-        if label.kind == "episode" && label.env.as_deref() == Some(world) {
-            episodes.push(serde_json::from_str(&line).with_context(wrong)?);
-        }
-    }
-    if episodes.is_empty() {
-        bail!("{}: no episode of {world}", path.display());
-    }
-    Ok(episodes)
+    let read = |line: &str| {
+        let label: Label = serde_json::from_str(line)?;
+        let asked = label.kind == "episode" && label.env.as_deref() == Some(world);
+        if asked { serde_json::from_str(line).map(Some) } else { Ok(None) }
+    };
+    lines("gridworld_golden.jsonl.gz", read).with_context(|| format!("episodes of {world}"))
 }

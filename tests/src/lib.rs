@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod golden;
+pub mod reacher;
 pub mod source;
 
 use std::env;

@@ -6,6 +6,7 @@ mod cli_errors;
 mod cli_resume;
 mod export;
 mod golden;
+mod golden_reacher;
 mod page;
 mod play;
 mod serve;
