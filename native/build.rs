@@ -1,6 +1,7 @@
-//! Tells the program what it was built from, for manifests and `mcvl doctor`.
+//! Tells the program what it was built from, for manifests and `mcvl doctor`, and where MuJoCo's library is.
 
 use std::env;
+use std::path::Path;
 use std::process::Command;
 
 /// What a command prints, if it runs and says anything.
@@ -10,7 +11,29 @@ fn output(program: &str, arguments: &[&str]) -> Option<String> {
     (output.status.success() && !text.is_empty()).then_some(text)
 }
 
+/// Writes into the program where MuJoCo's library is, so that it finds it without a variable: in the folder
+/// that `.cargo/config.toml` names and `cargo xtask setup` fills, or beside the program.
+fn find_mujoco() {
+    const FOLDER: &str = "MUJOCO_DYNAMIC_LINK_DIR";
+    println!("cargo::rerun-if-env-changed={FOLDER}");
+    let folder = env::var(FOLDER).unwrap_or_default();
+    let library = Path::new(&folder).join("libmujoco.so");
+    println!("cargo::rerun-if-changed={}", library.display());
+    if !library.is_file() {
+        println!(
+            "cargo::error=there is no MuJoCo in `{folder}`: `cargo xtask setup` fetches it (run cargo from inside \
+             the repository, which sets {FOLDER})"
+        );
+        return;
+    }
+    println!("cargo::rustc-link-arg=-Wl,-rpath,{folder}");
+    println!("cargo::rustc-link-arg-bins=-Wl,-rpath,$ORIGIN");
+}
+
 fn main() {
+    if env::var_os("CARGO_FEATURE_MUJOCO").is_some() {
+        find_mujoco();
+    }
     let compiler = output(&env::var("RUSTC").expect("cargo sets it"), &["--version"]);
     println!("cargo::rustc-env=MCVL_BUILD_COMPILER={}", compiler.as_deref().unwrap_or("unknown"));
     println!("cargo::rustc-env=MCVL_BUILD_TARGET={}", env::var("TARGET").expect("cargo sets it"));

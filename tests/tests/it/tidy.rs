@@ -44,12 +44,17 @@ fn rust<'a>(files: &'a [SourceFile], folder: &str) -> impl Iterator<Item = &'a S
     files.iter().filter(move |file| file.is(&["rs"]) && file.path.starts_with(folder))
 }
 
-/// Names of the normal dependencies of a package.
-fn dependencies(package: &str) -> BTreeSet<String> {
+/// The workspace's packages, as cargo describes them.
+fn packages() -> Vec<Value> {
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["metadata", "--no-deps", "--format-version=1"]).current_dir(root());
     let metadata: Value = serde_json::from_str(&run(&mut cargo).unwrap()).unwrap();
-    let packages = metadata["packages"].as_array().unwrap();
+    metadata["packages"].as_array().unwrap().clone()
+}
+
+/// Names of the normal dependencies of a package.
+fn dependencies(package: &str) -> BTreeSet<String> {
+    let packages = packages();
     let found = packages.iter().find(|candidate| candidate["name"] == package).expect("a package of this name");
     let normal = found["dependencies"].as_array().unwrap().iter().filter(|dependency| dependency["kind"].is_null());
     normal.map(|dependency| dependency["name"].as_str().unwrap().to_owned()).collect()
@@ -174,6 +179,23 @@ fn heavy_crates_stay_in_their_rooms() {
         let found = violations(rust(&files, ""), |file, line| !file.path.starts_with(room) && has_word(line, name));
         assert_none(&found, &format!("{name} is named only under {room}"));
     }
+}
+
+#[test]
+fn a_plain_build_needs_no_mujoco() {
+    let mut found = Vec::new();
+    for package in packages() {
+        let mujoco = |dependency: &&Value| dependency["name"] == "mujoco-rs";
+        for dependency in package["dependencies"].as_array().unwrap().iter().filter(mujoco) {
+            found.push((
+                package["name"].clone(),
+                dependency["optional"].clone(),
+                package["features"]["default"].clone(),
+            ));
+        }
+    }
+    // One package, where it is optional; nothing is on by default, and so not it.
+    assert_eq!(found, [("mcvl-native".into(), true.into(), Value::Null)]);
 }
 
 #[test]
