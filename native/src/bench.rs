@@ -15,7 +15,8 @@ use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::agent::reward_model::RewardModel;
 use mcvl_core::config::{Config, ConfigError, Learner, Preset};
 use mcvl_core::env::box_moving::BoxMoving;
-use mcvl_core::env::{Action as _, Discrete, EpisodeEnd};
+use mcvl_core::env::reacher::{Button, ClosedForm, Reacher};
+use mcvl_core::env::{Action, Discrete, Environment, EpisodeEnd};
 use mcvl_core::forecast::cpu::CpuForecaster;
 use mcvl_core::forecast::{Carry, ForecastJob, Forecaster as _};
 use mcvl_core::nn::gemm::PROBE_LANES;
@@ -26,6 +27,8 @@ use mcvl_core::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots}
 use mcvl_core::rng::Rng;
 use mcvl_core::run::{Budget, Run, Status};
 use serde::Serialize;
+
+use crate::mujoco;
 
 /// Updates of the measured forecast: those of a check in Box Moving.
 const FORECAST: u32 = 500;
@@ -268,6 +271,33 @@ impl Bench {
     }
 }
 
+/// Steps of Reacher, moved by each simulator that this program has.
+pub fn reacher<'a>() -> Vec<Case<'a>> {
+    let button = Some(Button::proposal());
+    let closed: Worker<'a> = Box::new(move || steps(Reacher::new(ClosedForm::default(), button)));
+    let mut cases = vec![Case { name: "step in closed form".to_owned(), work: None, worker: closed }];
+    if let Ok(world) = mujoco::reacher(button) {
+        let worker: Worker<'a> = Box::new(move || steps(world.clone()));
+        cases.push(Case { name: "step in MuJoCo".to_owned(), work: None, worker });
+    }
+    cases
+}
+
+/// Random play in a world, resets included.
+fn steps<'a, E: Environment + 'a>(mut world: E) -> Call<'a> {
+    let (actions, mut rng, mut chance) = (world.spec().actions, Rng::new(4), Rng::new(5));
+    let mut observation = vec![0.0; world.spec().observation.width];
+    world.reset(&mut rng, &mut observation);
+    Box::new(move || {
+        timed(1000, || {
+            let action = E::Action::sample(&actions, &mut chance);
+            if black_box(world.step(&action, &mut rng, &mut observation)).end.is_some() {
+                world.reset(&mut rng, &mut observation);
+            }
+        })
+    })
+}
+
 /// A step of random play as a transition; the next episode begins behind the end of one.
 fn random_step(play: &mut Play, rng: &mut Rng) -> Transition<Discrete> {
     if play.score().end.is_some() {
@@ -321,6 +351,18 @@ mod tests {
         assert_eq!(case.rate(3, Duration::from_millis(5), median), 30.0);
         assert_eq!(case.rate(1, Duration::from_millis(5), best), 15.0);
         assert_eq!(case.rates(1, Duration::from_millis(5)), Rates { one: 10.0, all: 10.0 });
+    }
+
+    #[test]
+    fn every_simulator_of_reacher_is_measured() {
+        let cases = reacher();
+        let names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
+        let expected = ["step in closed form", "step in MuJoCo"];
+        assert_eq!(names, expected[..1 + usize::from(cfg!(feature = "mujoco"))]);
+        for case in &cases {
+            let Sample { count, time } = (case.worker)()();
+            assert!(count >= 1.0 && time > Duration::ZERO, "{}", case.name);
+        }
     }
 
     #[test]

@@ -5,13 +5,18 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
-use mcvl::bench::{Bench, Rates, peak};
+use mcvl::bench::{self, Bench, Rates, peak};
 use mcvl::runs::Manifest;
+use mcvl_core::env::BuiltIn;
+use mcvl_core::env::reacher::Reacher;
 use mcvl_core::experiment::EXPERIMENTS;
 use serde_json::json;
 
 use super::terminal::{Terminal, wrap};
 use super::{Done, WIDTH};
+
+/// The world whose simulators are measured.
+const REACHER: &str = <Reacher as BuiltIn>::NAME;
 
 /// Arguments of `mcvl bench`.
 #[derive(Args)]
@@ -44,11 +49,14 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
     if !optimised {
         terminal.note("note: built without optimisation, so these are not the figures of this machine");
     }
-    let envs: Vec<&str> = match &arguments.env {
+    let mut envs: Vec<&str> = match &arguments.env {
         Some(env) => vec![env],
-        None => EXPERIMENTS.iter().map(|experiment| experiment.name).collect(),
+        None => EXPERIMENTS.iter().map(|experiment| experiment.name).chain([REACHER]).collect(),
     };
+    let reacher = envs.pop_if(|env| *env == REACHER);
     let benches = envs.iter().map(|env| Bench::new(env)).collect::<Result<Vec<_>, _>>()?;
+    let groups = envs.iter().zip(&benches).map(|(env, bench)| (*env, bench.cases()));
+    let groups = groups.chain(reacher.map(|env| (env, bench::reacher())));
     let peak = peak(cores, arguments.time);
     if !arguments.json {
         writeln!(terminal.out, "{}, {}", about.cpu, about.vector)?;
@@ -60,11 +68,11 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
         writeln!(terminal.out, "{:<32}{:>9} {:>7}  {:>9} {:>7}", "per second", "one core", "peak", all, "peak")?;
     }
     let mut measured = Vec::new();
-    for (env, bench) in envs.iter().zip(&benches) {
+    for (env, cases) in groups {
         if !arguments.json {
             writeln!(terminal.out, "{}", terminal.paint(1, env))?;
         }
-        for case in bench.cases() {
+        for case in cases {
             let rates = case.rates(cores, arguments.time);
             let share = case
                 .work

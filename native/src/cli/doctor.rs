@@ -5,6 +5,7 @@ use std::path::Path;
 use std::{fs, io, process};
 
 use clap::Args;
+use mcvl::mujoco;
 use mcvl::runs::Manifest;
 use mcvl_core::exact;
 use serde_json::json;
@@ -25,6 +26,7 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
     let about = Manifest::begin();
     let different = different_stages();
     let disk = writable(Path::new("."));
+    let mujoco = mujoco::library();
     let stderr = io::stderr().is_terminal();
     if arguments.json {
         let value = json!({
@@ -38,6 +40,11 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             "exact": different.is_empty(),
             "different": different,
             "stages": exact::COMMITTED.len(),
+            "mujoco": {
+                "version": mujoco.as_ref().ok().map(|library| &library.version),
+                "file": mujoco.as_ref().ok().and_then(|library| library.file.as_ref()),
+                "error": mujoco.as_ref().err().map(ToString::to_string),
+            },
             "disk": disk.as_ref().err().map(ToString::to_string),
             "terminal": { "stdout": io::stdout().is_terminal(), "stderr": stderr, "color": terminal.color },
         });
@@ -54,6 +61,13 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
                 terminal.paint(31, format!("the current folder cannot be written to ({error}): use -o elsewhere"))
             }
         };
+        let mujoco = match &mujoco {
+            Ok(mujoco::Library { version, file }) => match file {
+                Some(file) => format!("{version} ({file})"),
+                None => version.clone(),
+            },
+            Err(error) => error.to_string(),
+        };
         let progress = if stderr { "progress as bars" } else { "no terminal: progress as plain lines" };
         let rows = [
             ("mcvl", format!("{} ({})", about.version, about.commit.as_deref().unwrap_or("commit unknown"))),
@@ -61,6 +75,7 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             ("processor", format!("{}, {} cores", about.cpu, about.cores)),
             ("vectors", format!("{} (speed only: every unit gives the same bits)", about.vector)),
             ("arithmetic", exactness),
+            ("MuJoCo", mujoco),
             ("disk", disk),
             ("terminal", progress.to_owned()),
         ];

@@ -354,6 +354,12 @@ fn json_is_valid_and_stdout_has_nothing_else() {
     assert_eq!(summary["seeds"], serde_json::json!([0]));
     let doctor = json(&ok(folder, "doctor --json"));
     assert_eq!((&doctor["exact"], doctor["stages"].as_u64() > Some(3)), (&true.into(), true));
+    // Linked to MuJoCo, of the right version; or how to get it.
+    let mujoco = &doctor["mujoco"];
+    match mujoco["error"].as_str() {
+        None => assert_eq!(mujoco["version"], "3.17.0"),
+        Some(error) => assert!(error.contains("cargo xtask setup") && error.contains("--features mujoco"), "{error}"),
+    }
 }
 
 #[test]
@@ -381,6 +387,9 @@ fn speed_is_measured_on_one_core_and_on_all() {
             }
         }
     }
+    let reacher = json(&ok(folder.path(), "bench reacher --time 1ms --json -q"));
+    let simulators = reacher["measured"].as_array().unwrap();
+    assert!(!simulators.is_empty() && simulators.iter().all(|case| case["per_second"]["one"].as_f64() > Some(0.0)));
     let answer = ask(folder.path(), "bench box-movin");
     assert!(answer.code == 2 && answer.stderr.contains("did you mean `box-moving`?"), "{}", answer.stderr);
 }
