@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 
 use crate::setup::Purpose;
-use crate::{process, setup, web};
+use crate::{mujoco, process, setup, web};
 
 /// Where the demonstration's runs lie.
 const RUNS: &str = "runs/demo";
@@ -15,7 +15,9 @@ const DOES_NOT_HOLD: i32 = 1;
 /// Runs the demonstration; fails if the experiment's claims do not hold.
 pub fn demo(seeds: &str, serve_page: bool) -> Result<()> {
     setup::ensure(Purpose::Web)?;
-    process::run(process::cargo().args(["build", "--release", "--package", "mcvl-native"]))?;
+    setup::offer_mujoco();
+    let mut build = process::cargo();
+    process::run(build.args(["build", "--release", "--package", "mcvl-native"]).args(mujoco::features()))?;
     web::build()?;
 
     let mcvl = || process::command(process::program("release", "mcvl"));

@@ -1,6 +1,7 @@
 //! Automation of the repository: `cargo xtask setup|demo|web|pictures|figures|test|bench`.
 
 mod demo;
+mod mujoco;
 mod page;
 mod process;
 mod setup;

@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 
+use crate::mujoco;
 use crate::process::{cargo, command, program, root, run};
 use crate::setup::{self, Purpose};
 use crate::web;
@@ -30,7 +31,7 @@ impl Page {
     fn serve() -> Result<Self> {
         setup::ensure(Purpose::Test)?;
         web::build()?;
-        run(cargo().args(["build", "--package", "mcvl-native"]))?;
+        run(cargo().args(["build", "--package", "mcvl-native"]).args(mujoco::features()))?;
         let mut serve = command(program("debug", "mcvl"));
         let mut server = serve.args(["serve", "--port", "0"]).stdout(Stdio::piped()).spawn()?;
         let mut line = String::new();

@@ -5,7 +5,7 @@ use std::fs;
 
 use anyhow::{Context, Result, bail};
 
-use crate::process;
+use crate::{mujoco, process};
 
 /// Target of the page's modules.
 pub const WASM: &str = "wasm32-unknown-unknown";
@@ -33,6 +33,8 @@ enum Source {
     Npm(&'static str, &'static str),
     /// A program from crates.io, compiled here.
     Crate(&'static str),
+    /// MuJoCo's shared library, from its Python package.
+    Mujoco,
 }
 
 /// Something that has to be on the machine.
@@ -74,6 +76,7 @@ const PARTS: &[Part] = &[
         source: Source::Npm("tests/node", "axe-core"),
         programs: &[],
     },
+    Part { why: "Reacher in MuJoCo", purpose: Purpose::Test, source: Source::Mujoco, programs: &[] },
     Part {
         why: "a faster test runner; without it `cargo test` runs the same tests",
         purpose: Purpose::Comfort,
@@ -88,6 +91,8 @@ impl Part {
             Source::Target(target) => has_target(target),
             Source::Npm(folder, name) => process::root().join(folder).join("node_modules").join(name).is_dir(),
             Source::Apt(_) | Source::Crate(_) => process::exists(self.programs),
+            // Elsewhere there is only the closed form.
+            Source::Mujoco => mujoco::present() || !mujoco::supported(),
         }
     }
 
@@ -97,6 +102,7 @@ impl Part {
             Source::Apt(package) => format!("the package {package} (apt-get)"),
             Source::Npm(_, name) => format!("the package {name} (npm)"),
             Source::Crate(name) => format!("the program {name} (cargo install, compiles for some minutes)"),
+            Source::Mujoco => "MuJoCo's shared library (pip, 26 MB)".to_owned(),
         };
         format!("{what}: {}", self.why)
     }
@@ -129,6 +135,7 @@ pub fn ensure(purpose: Purpose) -> Result<()> {
             Source::Apt(_) => {}
             Source::Npm(folder, _) => add_locked(folder)?,
             Source::Crate(name) => add_crate(name)?,
+            Source::Mujoco => add_mujoco()?,
         }
     }
     Ok(())
@@ -191,6 +198,26 @@ fn add_locked(folder: &str) -> Result<()> {
         return Ok(());
     }
     bail!("npm packages are missing: type `npm ci --prefix {folder}` where there is network access")
+}
+
+/// Installs MuJoCo where that is possible; a program without it does everything but Reacher in MuJoCo.
+pub fn offer_mujoco() {
+    if mujoco::present() || !mujoco::supported() {
+        return;
+    }
+    eprintln!("setup: will install MuJoCo's shared library (pip, 26 MB): Reacher in MuJoCo");
+    if let Err(error) = add_mujoco() {
+        eprintln!("setup: MuJoCo is not installed ({error:#}); going on without it");
+    }
+}
+
+/// Fetches MuJoCo's library with pip, and pip before it where there is none.
+fn add_mujoco() -> Result<()> {
+    if process::output(process::command("python3").args(["-m", "pip", "--version"])).is_none() {
+        eprintln!("setup: will install the package python3-pip (apt-get): fetches MuJoCo's library");
+        add_packages(&["python3-pip"])?;
+    }
+    mujoco::fetch()
 }
 
 /// Installs a program from crates.io; going without one is no failure.

@@ -8,24 +8,26 @@ use anyhow::Result;
 
 use crate::process::{cargo, command, exists, program, root, run};
 use crate::setup::{BARE, Purpose};
-use crate::{setup, web};
+use crate::{mujoco, setup, web};
 
 /// A stage: its name and what it does.
 type Stage = (&'static str, fn() -> Result<()>);
 
 /// What is built and tested. One selection for all stages: cargo compiles dependencies again for another
-/// one. The glue has no tests and a large tree of its own.
-const EVERYTHING: [&str; 3] = ["--workspace", "--exclude", "xtask-glue"];
+/// one. The glue has no tests and a large tree of its own. MuJoCo is in wherever its library is.
+fn everything() -> Vec<&'static str> {
+    [&["--workspace", "--exclude", "xtask-glue"], mujoco::features()].concat()
+}
 
 const STAGES: &[Stage] = &[
     ("setup", || setup::ensure(Purpose::Test)),
     ("format", || run(cargo().args(["fmt", "--all", "--check"]))),
-    ("lint", || run(cargo().args(["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
+    ("lint", lint),
     ("core alone on a bare target", || run(cargo().args(["build", "--package", "mcvl-core", "--target", BARE]))),
     ("web", web::build),
-    ("build", || run(cargo().arg("build").args(EVERYTHING).arg("--all-targets"))),
+    ("build", || run(cargo().arg("build").args(everything()).arg("--all-targets"))),
     ("tests", tests),
-    ("documentation tests", || run(with_program(cargo().args(["test", "--doc"]).args(EVERYTHING)))),
+    ("documentation tests", || run(with_program(cargo().args(["test", "--doc"]).args(everything())))),
     ("examples", examples),
 ];
 
@@ -57,13 +59,25 @@ fn summary(done: &[(&str, Duration)]) {
     println!("{:<30} {:>8.1}", "total", total.as_secs_f64());
 }
 
+/// Everything with MuJoCo, and then what stands in for it where it is not linked.
+fn lint() -> Result<()> {
+    let lint = |features: &[&str]| {
+        let workspace = ["clippy", "--workspace", "--all-targets"];
+        run(cargo().args(workspace).args(features).args(["--", "-D", "warnings"]))
+    };
+    let features = mujoco::features();
+    lint(features)?;
+    // Only `native` differs, so the second look is short.
+    if features.is_empty() { Ok(()) } else { lint(&[]) }
+}
+
 /// Unit and integration tests, with cargo-nextest where it is installed.
 fn tests() -> Result<()> {
     if exists(&["cargo-nextest"]) {
-        return run(with_program(cargo().args(["nextest", "run"]).args(EVERYTHING)));
+        return run(with_program(cargo().args(["nextest", "run"]).args(everything())));
     }
     eprintln!("cargo-nextest is not installed (`cargo xtask setup` does it): `cargo test` runs the same tests");
-    run(with_program(cargo().arg("test").args(EVERYTHING).args(["--lib", "--bins", "--tests"])))
+    run(with_program(cargo().arg("test").args(everything()).args(["--lib", "--bins", "--tests"])))
 }
 
 /// Tells the tests which `mcvl` to run: the one that the stage before built.
