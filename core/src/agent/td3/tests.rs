@@ -1,3 +1,5 @@
+//! TD3 does what its definition says, and learns.
+
 use super::*;
 use crate::config::Optimizer;
 use crate::replay::{Forced, ReplayBuffer, Transition};
