@@ -87,6 +87,9 @@ names! {
         Paper = "paper",
         /// The authors' public release of 2026.
         Release = "release",
+        /// A setting of this project that shows the effect within minutes; for worlds whose paper setting
+        /// takes days.
+        Small = "small",
     }
 }
 
@@ -123,6 +126,16 @@ names! {
         StorePredicted = "store-predicted",
         /// Checks nothing.
         None = "none",
+    }
+}
+
+names! {
+    /// What moves the arm of Reacher.
+    Simulator {
+        /// The equations of motion, in core.
+        ClosedForm = "closed-form",
+        /// MuJoCo, where the native program is linked to it.
+        Mujoco = "mujoco",
     }
 }
 
@@ -321,6 +334,7 @@ keys! {
     seed: u64 = "0", "Seed of everything random.", "own", |_v| true, "0 to 18446744073709551615";
     variant: String = "full", "World of the Full phase, by name; `mcvl envs` lists them.", "P", |_v| true, "a variant of the environment";
     map: String = "small", "Room of Tomato Watering and of Rocks and Diamonds: small (the authors') or original (AI Safety Gridworlds).", "A (P names none)", |_v| true, "a map of the environment";
+    physics: Simulator = "closed-form", "What moves the arm of Reacher: its equations (closed-form) or MuJoCo (mujoco; native builds with that feature, which then take it by default). They agree to 1e-6, not to the last bit.", "own", |_v| true, "closed-form or mujoco";
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
     supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor).", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
     supervisors_safe: u32 = "0", "The same in Safe training; 0 for as many as in the Full phase (Absent Supervisor).", "own", |v| matches!(v, 0 | 1 | 2 | 4 | 8 | 12), "0, 1, 2, 4, 8 or 12";
@@ -380,12 +394,19 @@ impl Config {
     /// The configuration of an experiment with the values of a preset.
     ///
     /// # Errors
-    /// If no experiment has this name.
+    /// If no experiment has this name, or it has no such preset.
     pub fn new(env: &str, preset: Preset) -> Result<Self, ConfigError> {
         let Some(experiment) = experiment::find(env) else {
             let names: Vec<&str> = experiment::EXPERIMENTS.iter().map(|e| e.name).collect();
             return Err(ConfigError::new("env", format!("env: {}", expected_one_of(env, &names))));
         };
+        if preset == Preset::Small && experiment.small.is_empty() {
+            let names: Vec<&str> =
+                experiment::EXPERIMENTS.iter().filter(|e| !e.small.is_empty()).map(|e| e.name).collect();
+            let message =
+                format!("preset: {env} has no preset `small`, only {}; use paper or release", names.join(", "));
+            return Err(ConfigError::new("preset", message));
+        }
         Ok(Self::of(experiment, preset))
     }
 
@@ -405,7 +426,11 @@ impl Config {
                 }
             }
         }
-        let own = if preset == Preset::Release { experiment.release } else { &[] };
+        let own = match preset {
+            Preset::Paper => &[],
+            Preset::Release => experiment.release,
+            Preset::Small => experiment.small,
+        };
         for row in experiment.paper.iter().chain(own) {
             config.set(row.key, row.value).expect("the table of experiments is valid");
         }
@@ -478,6 +503,10 @@ impl Config {
                 self.layers, self.hidden
             );
             return Err(ConfigError::new("hidden", message));
+        }
+        if self.physics == Simulator::Mujoco && self.env != "reacher" {
+            let message = format!("physics: MuJoCo moves Reacher, not {}; leave it out", self.env);
+            return Err(ConfigError::new("physics", message));
         }
         if self.rollouts == 0 && !self.current_rollout {
             let message = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";

@@ -131,8 +131,8 @@ impl Play {
 mod tests {
     use super::*;
     use crate::config::Preset;
-    use crate::env::Discrete;
     use crate::env::box_moving::{DEMONSTRATIONS, Variant};
+    use crate::env::{ActionSpec, Continuous, Discrete};
     use crate::experiment::EXPERIMENTS;
 
     #[test]
@@ -154,6 +154,13 @@ mod tests {
         assert!(played > 5);
     }
 
+    fn random(spec: &ActionSpec, rng: &mut Rng) -> ActionValue {
+        match spec {
+            ActionSpec::Discrete(_) => Discrete::sample(spec, rng).into(),
+            ActionSpec::Continuous { .. } => Continuous::<2>::sample(spec, rng).into(),
+        }
+    }
+
     #[test]
     fn every_world_is_played_to_its_end_and_again() {
         for experiment in EXPERIMENTS {
@@ -164,7 +171,7 @@ mod tests {
                     let mut actions = Rng::new(1);
                     let mut seen = vec![(play.frame(), play.observation().to_vec())];
                     let actions_of = play.spec().actions;
-                    while play.step(Discrete::sample(&actions_of, &mut actions)).is_some() {
+                    while play.step(random(&actions_of, &mut actions)).is_some() {
                         seen.push((play.frame(), play.observation().to_vec()));
                     }
                     assert_eq!(seen.len(), play.score().steps as usize + 1);
@@ -175,7 +182,7 @@ mod tests {
                 assert_eq!(first, episode(&mut same), "one seed, one episode");
                 assert!(first.len() > 2 && !first[0].0.seen.is_empty(), "{}", experiment.name);
                 let over = play.score();
-                assert!(over.end.is_some() && play.step(Discrete(0)).is_none());
+                assert!(over.end.is_some() && play.step(random(&play.spec().actions, &mut Rng::new(0))).is_none());
                 assert_eq!(play.score(), over);
                 play.restart();
                 assert_eq!(play.score(), Score::default());

@@ -11,10 +11,12 @@ use serde::de::DeserializeOwned;
 
 use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
-use crate::config::{Config, Learner};
+use crate::agent::td3::Td3;
+use crate::config::{Config, Learner, Simulator};
 use crate::digest::Digest;
 use crate::env::gridworld::Gridworld;
-use crate::env::{EnvSpec, Environment, Frame};
+use crate::env::reacher::Reacher;
+use crate::env::{BuiltIn, EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
 use crate::play;
 use crate::record::{Arm, Recorder};
@@ -117,6 +119,8 @@ pub enum SnapshotError {
         /// Bytes there should be.
         expected: u64,
     },
+    /// It is of a world that is not looked for here.
+    World(String),
     /// Its bytes were altered, or its content makes no sense.
     Damaged(String),
 }
@@ -132,6 +136,9 @@ impl fmt::Display for SnapshotError {
             ),
             SnapshotError::Truncated { found, expected } => {
                 write!(f, "the snapshot is cut off: {found} bytes of {expected}")
+            }
+            SnapshotError::World(name) => {
+                write!(f, "the snapshot is of the world `{name}`, which is not among those that are looked for")
             }
             SnapshotError::Damaged(why) => write!(f, "the snapshot is damaged: {why}"),
         }
@@ -164,6 +171,8 @@ trait Erased: Send {
     fn spec(&self) -> &EnvSpec;
     fn frame(&self) -> Frame;
     fn tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)>;
+    /// The world's name in snapshots: it says which types the state has.
+    fn name(&self) -> &str;
     fn boxed_clone(&self) -> Box<dyn Erased>;
 }
 
@@ -176,6 +185,8 @@ impl Clone for Box<dyn Erased> {
 /// A trainer with its forecaster.
 #[derive(Clone)]
 struct Typed<E: Environment<Action = A::Action>, A: Agent> {
+    /// Name in snapshots, where it is not that of the configuration's world.
+    name: Option<&'static str>,
     trainer: Trainer<E, A>,
     forecaster: CpuForecaster<E, A>,
 }
@@ -186,7 +197,7 @@ where
     A: Agent,
 {
     fn new(trainer: Trainer<E, A>) -> Self {
-        Self { trainer, forecaster: CpuForecaster::default() }
+        Self { name: None, trainer, forecaster: CpuForecaster::default() }
     }
 }
 
@@ -242,6 +253,10 @@ where
         tensors
     }
 
+    fn name(&self) -> &str {
+        self.name.unwrap_or(&self.trainer.config().env)
+    }
+
     fn boxed_clone(&self) -> Box<dyn Erased> {
         Box::new(self.clone())
     }
@@ -260,18 +275,32 @@ struct Family {
 type Resumed = Result<Box<dyn Erased>, SnapshotError>;
 
 /// Every built-in world, in the order of the table of experiments.
-static FAMILIES: &[Family] = &[Family {
-    names: Gridworld::NAMES,
-    begin: |config| {
-        let (safe, full) = gridworlds(config);
-        Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
+static FAMILIES: &[Family] = &[
+    Family {
+        names: Gridworld::NAMES,
+        begin: |config| {
+            let (safe, full) = gridworlds(config);
+            Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
+        },
+        resume: resumed::<Gridworld, Ddqn>,
+        play: |config, leg| {
+            let (safe, full) = gridworlds(config);
+            Box::new(if leg == Arm::Safe { safe } else { full })
+        },
     },
-    resume: resumed::<Gridworld, Ddqn>,
-    play: |config, leg| {
-        let (safe, full) = gridworlds(config);
-        Box::new(if leg == Arm::Safe { safe } else { full })
+    Family {
+        names: &[<Reacher as BuiltIn>::NAME],
+        begin: |config| {
+            let (safe, full) = Reacher::worlds(config);
+            Box::new(Typed::new(Trainer::continuous(config.clone(), safe, full)))
+        },
+        resume: resumed::<Reacher, Td3<2>>,
+        play: |config, leg| {
+            let (safe, full) = Reacher::worlds(config);
+            Box::new(if leg == Arm::Safe { safe } else { full })
+        },
     },
-}];
+];
 
 impl Family {
     fn find(name: &str) -> Option<&'static Self> {
@@ -284,18 +313,69 @@ fn gridworlds(config: &Config) -> (Gridworld, Gridworld) {
 }
 
 /// A trainer from its binary form.
-fn resumed<E, A>(state: &[u8]) -> Resumed
+fn trainer<E, A>(state: &[u8]) -> Result<Trainer<E, A>, SnapshotError>
 where
-    E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
-    A: Agent + Serialize + DeserializeOwned + Send + 'static,
-    A::Action: Serialize + DeserializeOwned + Send,
+    E: Environment<Action = A::Action> + DeserializeOwned,
+    A: Agent + DeserializeOwned,
+    A::Action: DeserializeOwned,
 {
     let (trainer, rest): (Trainer<E, A>, _) = postcard::take_from_bytes(state)
         .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
     if !rest.is_empty() {
         return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
     }
-    Ok(Box::new(Typed::new(trainer)))
+    Ok(trainer)
+}
+
+fn resumed<E, A>(state: &[u8]) -> Resumed
+where
+    E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
+    A: Agent + Serialize + DeserializeOwned + Send + 'static,
+    A::Action: Serialize + DeserializeOwned + Send,
+{
+    Ok(Box::new(Typed::new(trainer::<E, A>(state)?)))
+}
+
+/// The world's name and the state in a snapshot.
+fn opened(bytes: &[u8]) -> Result<(&str, &[u8]), SnapshotError> {
+    let damaged = |why: String| SnapshotError::Damaged(why);
+    let found = bytes.len() as u64;
+    if bytes.len() < HEADER {
+        return Err(if MAGIC.starts_with(&bytes[..bytes.len().min(8)]) && !bytes.is_empty() {
+            SnapshotError::Truncated { found, expected: HEADER as u64 }
+        } else {
+            SnapshotError::Unrecognised
+        });
+    }
+    if &bytes[..8] != MAGIC {
+        return Err(SnapshotError::Unrecognised);
+    }
+    let number = |range: core::ops::Range<usize>| {
+        let mut word = [0; 8];
+        word[..range.len()].copy_from_slice(&bytes[range]);
+        u64::from_le_bytes(word)
+    };
+    let version = number(8..12) as u32;
+    if version != SNAPSHOT_VERSION {
+        return Err(SnapshotError::Version { found: version, expected: SNAPSHOT_VERSION });
+    }
+    let expected = number(12..20).saturating_add(HEADER as u64);
+    if found < expected {
+        return Err(SnapshotError::Truncated { found, expected });
+    }
+    let payload = &bytes[HEADER..];
+    if found > expected {
+        return Err(damaged(format!("{} bytes too many", found - expected)));
+    }
+    if Digest::default().bytes(payload).finish() != number(20..28) {
+        return Err(damaged("its bytes were altered".to_owned()));
+    }
+    let (name, state) = payload
+        .split_first()
+        .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
+        .ok_or_else(|| damaged("it names no world".to_owned()))?;
+    let name = core::str::from_utf8(name).map_err(|_| damaged("it names no world".to_owned()))?;
+    Ok((name, state))
 }
 
 /// The world of a leg, without a learner.
@@ -308,8 +388,10 @@ impl Run {
     /// A run from its beginning.
     ///
     /// # Panics
-    /// If the configuration is [`Config::custom`]: a world of your own goes to [`Trainer::gridworld`].
+    /// If the configuration is [`Config::custom`], or of a simulator that is not in this crate: such worlds go to
+    /// a [`Trainer`] and to [`Run::of`].
     pub fn new(config: &Config) -> Self {
+        assert_eq!(config.physics, Simulator::ClosedForm, "core has no other simulator");
         let family = Family::find(&config.env).expect("runs are of built-in worlds");
         Self { inner: (family.begin)(config) }
     }
@@ -351,12 +433,11 @@ impl Run {
     /// Forecasts under way are not part of it: they are made again from the same start, so whoever stops
     /// and continues more often than a check takes does not get past it.
     pub fn snapshot(&self) -> Vec<u8> {
-        // The world's name comes first: it says which types the state has.
         let state = self.inner.state();
-        let env = self.config().env.as_bytes();
-        let mut payload = Vec::with_capacity(1 + env.len() + state.len());
-        payload.push(env.len() as u8);
-        payload.extend_from_slice(env);
+        let name = self.inner.name().as_bytes();
+        let mut payload = Vec::with_capacity(1 + name.len() + state.len());
+        payload.push(name.len() as u8);
+        payload.extend_from_slice(name);
         payload.extend_from_slice(&state);
         let mut bytes = Vec::with_capacity(HEADER + payload.len());
         bytes.extend_from_slice(MAGIC);
@@ -367,53 +448,49 @@ impl Run {
         bytes
     }
 
-    /// Continues from a snapshot.
+    /// A run of a world that is not built in. `name` stands in its snapshots, for [`Run::resume_of`].
+    ///
+    /// # Panics
+    /// If `name` has more than 255 bytes.
+    pub fn of<E, A>(name: &'static str, trainer: Trainer<E, A>) -> Self
+    where
+        E: Environment<Action = A::Action> + Serialize + Send + 'static,
+        A: Agent + Serialize + Send + 'static,
+        A::Action: Serialize + Send,
+    {
+        assert!(name.len() <= usize::from(u8::MAX), "a short name");
+        let mut typed = Typed::new(trainer);
+        typed.name = Some(name);
+        Self { inner: Box::new(typed) }
+    }
+
+    /// Continues from a snapshot of a run that [`Run::of`] made with this name.
+    ///
+    /// # Errors
+    /// See [`SnapshotError`]; [`SnapshotError::World`] for a snapshot of another world.
+    pub fn resume_of<E, A>(name: &'static str, bytes: &[u8]) -> Result<Self, SnapshotError>
+    where
+        E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
+        A: Agent + Serialize + DeserializeOwned + Send + 'static,
+        A::Action: Serialize + DeserializeOwned + Send,
+    {
+        let (found, state) = opened(bytes)?;
+        if found != name {
+            return Err(SnapshotError::World(found.to_owned()));
+        }
+        Ok(Self::of(name, trainer::<E, A>(state)?))
+    }
+
+    /// Continues from a snapshot of a built-in world.
     ///
     /// # Errors
     /// See [`SnapshotError`].
     pub fn resume(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let damaged = |why: String| SnapshotError::Damaged(why);
-        let found = bytes.len() as u64;
-        if bytes.len() < HEADER {
-            return Err(if MAGIC.starts_with(&bytes[..bytes.len().min(8)]) && !bytes.is_empty() {
-                SnapshotError::Truncated { found, expected: HEADER as u64 }
-            } else {
-                SnapshotError::Unrecognised
-            });
-        }
-        if &bytes[..8] != MAGIC {
-            return Err(SnapshotError::Unrecognised);
-        }
-        let number = |range: core::ops::Range<usize>| {
-            let mut word = [0; 8];
-            word[..range.len()].copy_from_slice(&bytes[range]);
-            u64::from_le_bytes(word)
-        };
-        let version = number(8..12) as u32;
-        if version != SNAPSHOT_VERSION {
-            return Err(SnapshotError::Version { found: version, expected: SNAPSHOT_VERSION });
-        }
-        let expected = number(12..20).saturating_add(HEADER as u64);
-        if found < expected {
-            return Err(SnapshotError::Truncated { found, expected });
-        }
-        let payload = &bytes[HEADER..];
-        if found > expected {
-            return Err(damaged(format!("{} bytes too many", found - expected)));
-        }
-        if Digest::default().bytes(payload).finish() != number(20..28) {
-            return Err(damaged("its bytes were altered".to_owned()));
-        }
-        let (name, state) = payload
-            .split_first()
-            .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
-            .ok_or_else(|| damaged("it names no world".to_owned()))?;
-        let name = core::str::from_utf8(name).unwrap_or_default();
-        let family =
-            Family::find(name).ok_or_else(|| damaged("it is of a world that this program does not have".to_owned()))?;
+        let (name, state) = opened(bytes)?;
+        let family = Family::find(name).ok_or_else(|| SnapshotError::World(name.to_owned()))?;
         let inner = (family.resume)(state)?;
         if inner.config().env != name {
-            return Err(damaged("its parts do not belong together".to_owned()));
+            return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
         }
         Ok(Self { inner })
     }
@@ -463,7 +540,8 @@ mod tests {
             let pairs = experiment.maps().iter().flat_map(|map| experiment.variants.iter().map(move |v| (map, v)));
             for (map, variant) in pairs {
                 let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
-                let short = "practice_reward_updates=4 scheme=all safe_steps=60 full_steps=6 exploration=30 forecast=3 rollouts=2 \
+                let short = "practice_reward_updates=4 scheme=all safe_steps=60 full_steps=6 exploration=30 \
+                             learning_starts=30 batch=16 forecast=3 rollouts=2 \
                              rollout_steps=4 evaluations=2 evaluation_episodes=2 hidden=8";
                 for (key, value) in short.split_whitespace().filter_map(|pair| pair.split_once('=')) {
                     config.set(key, value).unwrap();

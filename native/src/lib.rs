@@ -6,3 +6,4 @@ pub mod export;
 pub mod mujoco;
 pub mod report;
 pub mod runs;
+pub mod worlds;

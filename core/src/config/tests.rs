@@ -37,7 +37,7 @@ fn errors_say_what_and_what_to_do() {
     assert_eq!(
         message("env=box-movin"),
         "env: `box-movin` is none of box-moving, absent-supervisor, tomato-watering, rocks-and-diamonds, \
-         did you mean `box-moving`?"
+         reacher, did you mean `box-moving`?"
     );
     assert_eq!(message("env=box-moving gama=1"), "unknown setting `gama`, did you mean `gamma`?");
     assert_eq!(message("env=box-moving gamma=2"), "gamma: `2` is out of range (allowed: 0 to 1)");
@@ -55,6 +55,11 @@ fn errors_say_what_and_what_to_do() {
     assert!("env=box-moving rollouts=0".parse::<Config>().is_ok());
     let nothing = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
     assert_eq!(message("env=box-moving rollouts=0 current_rollout=false"), nothing);
+    assert_eq!(
+        message("env=box-moving preset=small"),
+        "preset: box-moving has no preset `small`, only reacher; use paper or release"
+    );
+    assert_eq!(message("env=box-moving physics=mujoco"), "physics: MuJoCo moves Reacher, not box-moving; leave it out");
     assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
     assert_eq!(message("env=box-moving map=original"), "map: `original` is none of small");
     let maps = "map: `orginal` is none of small, original, did you mean `original`?";
@@ -63,7 +68,7 @@ fn errors_say_what_and_what_to_do() {
     assert_eq!(message("env=box-moving variant=ful"), variants);
     assert_eq!(
         message("env=box-moving preset=papr"),
-        "preset: `papr` is none of paper, release, did you mean `paper`?"
+        "preset: `papr` is none of paper, release, small, did you mean `paper`?"
     );
 }
 

@@ -247,17 +247,21 @@ fn picture(pose: &Pose, button: Option<&Button>) -> String {
     text
 }
 
+/// The button of a configuration's variant, if it has one.
+pub fn button(config: &Config) -> Option<Button> {
+    match config.variant.as_str() {
+        "no-button" => None,
+        "release-button" => Some(Button::release()),
+        _ => Some(Button::proposal()),
+    }
+}
+
 impl BuiltIn for Reacher {
     const NAME: &'static str = "reacher";
 
     /// Both are the same world: there is no Safe one, the first leg only explores at random.
     fn worlds(config: &Config) -> (Self, Self) {
-        let button = match config.variant.as_str() {
-            "no-button" => None,
-            "release-button" => Some(Button::release()),
-            _ => Some(Button::proposal()),
-        };
-        let world = Self::new(ClosedForm::default(), button);
+        let world = Self::new(ClosedForm::default(), button(config));
         (world.clone(), world)
     }
 }

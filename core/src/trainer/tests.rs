@@ -1,5 +1,6 @@
 //! The loop as a whole, on Box Moving with short legs.
 
+mod continuous;
 mod learners;
 mod practice;
 mod schemes;
@@ -33,10 +34,10 @@ fn trainer(config: &Config) -> Trainer<BoxMoving, Ddqn> {
 }
 
 /// Every event of a run polled with this budget; `between` is called after every poll.
-fn events<E: Environment<Action = Discrete>>(
-    mut trainer: Trainer<E, Ddqn>,
+fn events<E: Environment<Action = A::Action>, A: Agent>(
+    mut trainer: Trainer<E, A>,
     budget: u32,
-    mut between: impl FnMut(&mut Trainer<E, Ddqn>),
+    mut between: impl FnMut(&mut Trainer<E, A>),
 ) -> Vec<Event> {
     let mut events = Vec::new();
     let mut forecaster = CpuForecaster::default();

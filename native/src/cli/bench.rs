@@ -51,7 +51,7 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
     }
     let mut envs: Vec<&str> = match &arguments.env {
         Some(env) => vec![env],
-        None => EXPERIMENTS.iter().map(|experiment| experiment.name).chain([REACHER]).collect(),
+        None => EXPERIMENTS.iter().map(|experiment| experiment.name).collect(),
     };
     let reacher = envs.pop_if(|env| *env == REACHER);
     let benches = envs.iter().map(|env| Bench::new(env)).collect::<Result<Vec<_>, _>>()?;

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use mcvl::report::film;
 use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State};
+use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::record::{CheckRecord, Verdict};
-use mcvl_core::run::Run;
 use mcvl_core::token::Token;
 use serde_json::json;
 
@@ -36,8 +36,7 @@ pub fn envs(arguments: &EnvsArgs, terminal: &mut Terminal) -> anyhow::Result<Don
             writeln!(terminal.out)?;
         }
         let config = Config::new(experiment.name, Preset::Paper)?;
-        let run = Run::new(&config);
-        let spec = run.spec();
+        let spec = worlds::spec(&config);
         let name = terminal.paint(1, experiment.name);
         let facts = [
             format!("Task: {}.", experiment.task),
@@ -77,8 +76,7 @@ fn variants(experiment: &Experiment) -> String {
 
 fn env_json(experiment: &Experiment) -> anyhow::Result<serde_json::Value> {
     let config = Config::new(experiment.name, Preset::Paper)?;
-    let run = Run::new(&config);
-    let spec = run.spec();
+    let spec = worlds::spec(&config);
     let rows = experiment.variants.iter().zip(experiment.intended).zip(experiment.hacking);
     let variants: Vec<_> = rows
         .map(|((name, intended), hacking)| {
@@ -199,12 +197,12 @@ pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Resu
     let found = Found::read(&arguments.check)?;
     let tape = runs::tape(&found.dir, arguments.check.number)?;
     runs::check_tape(&found.dir, arguments.check.number, found.line())?;
-    let run = Run::new(&found.config);
-    write!(terminal.out, "{}", film::explain(&tape, run.spec(), WIDTH, terminal.color))?;
+    let spec = worlds::spec(&found.config);
+    write!(terminal.out, "{}", film::explain(&tape, &spec, WIDTH, terminal.color))?;
     let token = Token { config: found.config.clone(), number: tape.number, digest: found.line().digest() };
     writeln!(terminal.out, "\nRe-derive it anywhere:\n  mcvl replay {token}")?;
     if let Some(path) = &arguments.svg {
-        runs::write_atomic(path, film::svg(&tape, run.spec()).as_bytes())?;
+        runs::write_atomic(path, film::svg(&tape, &spec).as_bytes())?;
     }
     Ok(Done::Well)
 }

@@ -4,9 +4,10 @@ use std::io::Write as _;
 
 use clap::Args;
 use mcvl::runs::{self, Chain, LedgerLine, Reference, STEP_COLUMNS, SeedDir};
+use mcvl::worlds;
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
-use mcvl_core::run::{Budget, Run, RunError, Status};
+use mcvl_core::run::{Budget, Status};
 use mcvl_core::token::Token;
 
 use super::inspect::Found;
@@ -69,8 +70,8 @@ pub fn replay(arguments: &ReplayArgs, terminal: &mut Terminal) -> anyhow::Result
 }
 
 /// Trains from the beginning until the step of check `number` is recorded, or to the end.
-fn derive(config: &Config, number: u32, observer: &mut dyn FnMut(&Event)) -> Result<(), RunError> {
-    let mut run = Run::new(config);
+fn derive(config: &Config, number: u32, observer: &mut dyn FnMut(&Event)) -> anyhow::Result<()> {
+    let mut run = worlds::begin(config)?;
     let mut until = Until { number, step: None, reached: false, observer };
     while !until.reached && run.poll(Budget(64), &mut until)? != Status::Done {}
     Ok(())

@@ -5,6 +5,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 use mcvl::runs::{Origin, Setting};
+use mcvl::worlds;
 use mcvl_core::config::{Config, ConfigError, KEYS, Preset, nearest};
 
 use super::{Usage, terminal::Terminal, usage};
@@ -109,6 +110,11 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         let changed = KEYS.iter().filter(|key| key.value(&config) != key.value(&paper));
         origins.extend(changed.map(|key| (key.name.to_owned(), format!("preset {}", preset.name()))));
     }
+    let simulator = worlds::default_simulator(request.env);
+    if simulator != config.physics {
+        config.physics = simulator;
+        origins.push(("physics".to_owned(), "default (MuJoCo is linked)".to_owned()));
+    }
     let quick = if request.quick { QUICK } else { &[] };
     let quick = quick.iter().map(|(key, value)| Given {
         key: (*key).to_owned(),
@@ -120,6 +126,7 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         origins.push((value.key, value.from));
     }
     config.validate()?;
+    worlds::available(&config).map_err(|error| Usage(error.to_string()))?;
     let origin = |key: &str| match origins.iter().rev().find(|(name, _)| name == key) {
         Some((_, from)) => Origin(from.clone()),
         None => Origin::default_value(),

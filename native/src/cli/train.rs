@@ -13,9 +13,10 @@ use mcvl::report::claims::Summary;
 use mcvl::runs::{
     self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
 };
+use mcvl::worlds;
 use mcvl_core::config::{Learner, Preset};
 use mcvl_core::record::{Arm, Verdict};
-use mcvl_core::run::{Budget, Run, Status};
+use mcvl_core::run::{Budget, Status};
 
 use super::progress::{Progress, Style};
 use super::settings::{self, Given, Request, Resolved};
@@ -415,7 +416,7 @@ fn speed(plan: &Plan) -> f64 {
     let mut config = plan.config.clone();
     // The trial skips the random steps, which update nothing.
     config.exploration = config.batch;
-    let mut run = Run::new(&config);
+    let mut run = worlds::begin(&config).expect("the plan's world was looked for");
     let begun = Instant::now();
     while begun.elapsed() < Duration::from_millis(300) && run.poll(Budget(64), &mut ()) == Ok(Status::Working) {}
     run.progress().updates.max(1) as f64 / begun.elapsed().as_secs_f64()

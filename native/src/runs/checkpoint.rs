@@ -15,6 +15,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::RunsError;
 use super::write::write_atomic;
+use crate::worlds::{self, WorldError};
 
 const MAGIC: &[u8] = b"mcvl checkpoint\n";
 const VERSION: u32 = 1;
@@ -79,7 +80,10 @@ impl Checkpoint {
     pub fn read(path: &Path) -> Result<Self, RunsError> {
         let bytes = fs::read(path).map_err(RunsError::io("read", path))?;
         let (header, state) = decode(&bytes).map_err(|why| RunsError::damaged(path, why))?;
-        let run = Run::resume(state).map_err(|error| RunsError::damaged(path, error.to_string()))?;
+        let run = worlds::resume(state).map_err(|error| match error {
+            WorldError::Mujoco(_) => RunsError::Request(format!("{}: {error}", path.display())),
+            WorldError::Snapshot(error) => RunsError::damaged(path, error.to_string()),
+        })?;
         if run.config().to_string() != header.config {
             return Err(RunsError::damaged(path, "its header and its state are of different runs"));
         }

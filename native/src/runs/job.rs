@@ -11,6 +11,7 @@ use super::checkpoint::Checkpoint;
 use super::pool::Control;
 use super::write::{SeedWriter, check_logs, write_weights};
 use super::{RunsError, SeedDir, read};
+use crate::worlds;
 
 /// Work per poll: short enough that a signal is answered in the blink of an eye, long enough that the
 /// rest costs nothing.
@@ -135,7 +136,13 @@ impl ReadyJob {
             Start::Finished => return Ok(Ending::Finished),
             Start::Beginning => {
                 let writer = SeedWriter::create(&job.dir, &job.config.with_agent(Learner::Mc))?;
-                (Run::new(&job.config.with_agent(job.learners[0])), 0, None, writer)
+                (
+                    worlds::begin(&job.config.with_agent(job.learners[0]))
+                        .map_err(|e| RunsError::Request(e.to_string()))?,
+                    0,
+                    None,
+                    writer,
+                )
             }
             Start::Middle { checkpoint, switch } => {
                 let writer = SeedWriter::reopen(&job.dir, &checkpoint.logs)?;

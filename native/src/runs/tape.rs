@@ -5,11 +5,11 @@ use std::fs;
 use mcvl_core::config::Learner;
 use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, EvaluationRecord};
-use mcvl_core::run::Run;
 use serde::Serialize;
 use serde_json::value::RawValue;
 
 use super::{Plan, RunDir, RunsError, SeedRun, check_tape, ledger};
+use crate::worlds;
 
 /// First field of every tape.
 const FORMAT: &str = "mcvl tape";
@@ -57,7 +57,7 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
         let raw = RawValue::from_string(text);
         checks.push(raw.map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))?);
     }
-    let world = Run::new(&config).spec().clone();
+    let world = worlds::spec(&config);
     let leg = |arm: Arm| Leg { arm, steps: if arm == Arm::Safe { config.safe_steps } else { config.full_steps } };
     let tape = Tape {
         format: FORMAT,

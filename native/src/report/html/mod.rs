@@ -11,13 +11,13 @@ use std::fmt::Write as _;
 use mcvl_core::config::{Config, KEYS, Preset};
 use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, CheckRecord};
-use mcvl_core::run::Run;
 
 use super::claims::{ArmSummary, Claim, Outcome, SeedEnd, Summary, learner, percent, plural, seed_list};
 use super::plot::{Figure, Layout, curves, sweep};
 use super::statistics::Estimate;
 use super::svg::{self, escape};
 use crate::runs::{RunSet, SeedRun};
+use crate::worlds;
 
 /// Reads the film of a check (by its number) of a seed, where a tape holds it.
 pub type Films<'a> = &'a dyn Fn(&SeedRun, u32) -> Option<CheckRecord>;
@@ -95,7 +95,7 @@ fn headline(summary: &Summary, level: &str) -> String {
 /// Everything about one run directory.
 fn section(set: &RunSet, summary: &Summary, films: Films<'_>, several: bool) -> String {
     let experiment = set.config.experiment();
-    let facts = Run::new(&set.config).spec().clone();
+    let facts = worlds::spec(&set.config);
     let mut out = String::from("<section class=\"set\">\n");
     if several {
         let _ = write!(out, "<p class=\"eyebrow\"><code>{}</code></p>{}", escape(&name(set)), headline(summary, "h2"));

@@ -1,0 +1,108 @@
+//! MC-TD3: the same loop with actions of numbers.
+
+use super::*;
+use crate::config::Scheme;
+use crate::env::reacher::{Button, ClosedForm, Reacher};
+
+/// A short run.
+const SHORT: &str = "env=reacher safe_steps=4000 full_steps=2030 exploration=4000 learning_starts=500 hidden=32 batch=32 \
+                     forecast=400 rollouts=10 evaluations=2 evaluation_episodes=2";
+
+fn config(more: &str) -> Config {
+    let mut config: Config = SHORT.parse().unwrap();
+    for (key, value) in more.split_whitespace().filter_map(|pair| pair.split_once('=')) {
+        config.set(key, value).unwrap();
+    }
+    config
+}
+
+/// Reacher without a button, in which one step of the live world pays extra.
+#[derive(Clone)]
+struct Planted {
+    world: Reacher,
+    /// Steps until then.
+    left: u32,
+    /// What it pays then, beyond what is true.
+    extra: f32,
+}
+
+impl Planted {
+    fn new(left: u32, extra: f32) -> Self {
+        Self { world: Reacher::new(ClosedForm::default(), None), left, extra }
+    }
+}
+
+impl Environment for Planted {
+    type Action = Continuous<2>;
+
+    fn spec(&self) -> &EnvSpec {
+        self.world.spec()
+    }
+
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        self.world.reset(rng, observation);
+    }
+
+    fn step(&mut self, action: &Continuous<2>, rng: &mut Rng, observation: &mut [f32]) -> Step {
+        let mut step = self.world.step(action, rng, observation);
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 {
+            step.reward += core::mem::take(&mut self.extra);
+        }
+        step
+    }
+}
+
+/// The check of step `at` of the Full leg, in which the world pays extra; no other step is checked.
+fn judged(seed: u64, at: u32, extra: f32) -> CheckRecord {
+    let config = config("").with_seed(seed);
+    let trainer = Trainer::continuous(config, Planted::new(u32::MAX, extra), Planted::new(at, extra));
+    let told = events_of_one(trainer, at);
+    let found = checks(&told);
+    assert_eq!((found.len(), found[0].step), (1, at));
+    found.into_iter().next().unwrap()
+}
+
+/// A run that checks step `at` of its Full leg.
+fn events_of_one(mut trainer: Trainer<Planted, Td3<2>>, at: u32) -> Vec<Event> {
+    let mut told = Vec::new();
+    let mut forecaster = CpuForecaster::default();
+    loop {
+        let next = trainer.arm != Arm::Safe && trainer.step + 1 == at;
+        trainer.config.scheme = if next { Scheme::All } else { Scheme::None };
+        let status = trainer.poll(&mut forecaster, Budget(1), &mut |event: &Event| told.push(event.clone()));
+        if status.unwrap() == Status::Done {
+            return told;
+        }
+    }
+}
+
+#[test]
+fn a_step_with_a_planted_hack_is_refused_and_the_same_step_without_it_accepted() {
+    let (hack, honest) = (judged(5, 2021, 50.0), judged(5, 2021, 0.0));
+    assert_eq!((&hack.action, hack.predicted), (&honest.action, honest.predicted));
+    assert_eq!((hack.reward - honest.reward, hack.performance), (50.0, honest.performance));
+    assert_eq!((hack.verdict, honest.verdict), (Verdict::Refuse, Verdict::Accept));
+    // The future that learned the hack is worse by far, in truth as well.
+    let ((modified, unmodified), margin) = (futures(&hack), hack.margin.unwrap());
+    assert!(margin < -1.0 && modified.performance < unmodified.performance - 1.0, "{margin}");
+}
+
+#[test]
+fn runs_of_the_button_world_resume_to_the_last_bit_and_polls_of_any_size_agree() {
+    let button = Some(Button::proposal());
+    let world = || Reacher::new(ClosedForm::default(), button);
+    let config =
+        config("safe_steps=600 exploration=600 learning_starts=100 full_steps=12 scheme=all forecast=5 rollouts=2");
+    let whole = events(Trainer::continuous(config.clone(), world(), world()), u32::MAX, |_| {});
+    assert_eq!(checks(&whole).len(), 12);
+    assert_eq!(events(Trainer::continuous(config.clone(), world(), world()), 3, |_| {}), whole);
+    let mut run = Run::new(&config);
+    let mut told = Vec::new();
+    while run.progress().arm == Arm::Safe || run.progress().step < 6 {
+        run.poll(Budget(1), &mut |event: &Event| told.push(event.clone())).unwrap();
+    }
+    let mut run = Run::resume(&run.snapshot()).unwrap();
+    while run.poll(Budget(u32::MAX), &mut |event: &Event| told.push(event.clone())).unwrap() != Status::Done {}
+    assert_eq!(decisions(&told), decisions(&whole));
+}
