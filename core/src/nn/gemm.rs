@@ -1,9 +1,19 @@
 //! The only matrix products. Each output sums its terms in ascending order of the reduction index,
 //! starting from its bias or from zero, without fused multiply-add: tile sizes and vector widths change
 //! the speed and no bit. [`super::isa`] compiles these loops for each vector unit.
+//!
+//! # Zeros left out
+//! Behind a ReLU about half of the left factors are zero, and so are as many derivatives on the way back.
+//! [`Factors::Sparse`] leaves their terms out: a zero times a finite number is a zero, which changes no bit
+//! of a sum unless that is -0. No sum is: -0 comes only from adding two of them, and a sum starts from +0 or
+//! from a bias, which is not -0 at first nor after any step of the optimiser, for the same reason. (Where a
+//! weight is not finite, the learner has diverged either way; which columns leave terms out is the same on
+//! every vector unit.)
 
 /// Lanes of [`super::isa::probe`]: enough independent chains to hide every latency.
 pub const PROBE_LANES: usize = 192;
+
+use super::isa::{Baseline, Lanes, One};
 
 /// A row-major matrix in a slice.
 #[derive(Clone, Copy)]
@@ -26,154 +36,352 @@ impl<'a> Matrix<'a> {
     }
 }
 
+/// What is known about the left matrix of a product. Results do not depend on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Factors {
+    /// Few zeros.
+    Dense,
+    /// Many zeros, worth looking for.
+    Sparse,
+}
+
+/// What becomes of a sum.
+#[derive(Clone, Copy)]
+pub enum Finish<'a> {
+    /// It stays.
+    Plain,
+    /// Zero if it is negative; what is not a number stays one.
+    Relu,
+    /// Zero where this matrix of the same shape is not positive: the derivative of a ReLU whose outputs
+    /// it holds.
+    Where(&'a [f32]),
+}
+
+impl Finish<'_> {
+    /// On the sums that were stored at `at`. In memory and not in registers: a choice between the two is
+    /// what keeps compilers from holding the sums in registers at all.
+    #[inline(always)]
+    fn apply(self, sums: &mut [f32], at: usize) {
+        match self {
+            Finish::Plain => {}
+            Finish::Relu => {
+                for sum in sums {
+                    *sum = if *sum < 0.0 { 0.0 } else { *sum };
+                }
+            }
+            Finish::Where(active) => {
+                for (sum, active) in sums.iter_mut().zip(&active[at..]) {
+                    *sum = if *active > 0.0 { *sum } else { 0.0 };
+                }
+            }
+        }
+    }
+}
+
 /// Where a product goes, and what surrounds it.
 pub struct Output<'a> {
     /// Receives `rows · cols` numbers, row-major.
     pub data: &'a mut [f32],
     /// First term of every sum, one per column; zero without.
     pub bias: Option<&'a [f32]>,
-    /// Replace negative results by zero; what is not a number stays one.
-    pub relu: bool,
+    /// Last thing done to every sum.
+    pub finish: Finish<'a>,
 }
 
-/// One tile: `ROWS` rows of A times `COLS` columns of B.
+/// Numbers in a vector.
+const fn lanes<L: Lanes>() -> usize {
+    size_of::<L::Vector>() / size_of::<f32>()
+}
+
 #[inline(always)]
-fn tile<const ROWS: usize, const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, i: usize, j: usize) {
-    let k = a.cols;
-    let rows: [&[f32]; ROWS] = core::array::from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
-    let start: [f32; COLS] = match out.bias {
-        Some(bias) => bias[j..j + COLS].try_into().expect("a full tile"),
-        None => [0.0; COLS],
-    };
-    let mut sums = [start; ROWS];
-    // An index over several rows at once; iterators over each would be checked one by one.
-    #[allow(clippy::needless_range_loop)]
-    for kk in 0..k {
-        let line: &[f32; COLS] = b.data[kk * b.cols + j..kk * b.cols + j + COLS].try_into().expect("a full tile");
-        for r in 0..ROWS {
-            let factor = rows[r][kk];
-            for l in 0..COLS {
-                sums[r][l] += factor * line[l];
+fn load<L: Lanes, const VECTORS: usize>(from: &[f32]) -> [L::Vector; VECTORS] {
+    let mut all = [L::splat(0.0); VECTORS];
+    for (v, vector) in all.iter_mut().enumerate() {
+        *vector = L::load(&from[v * lanes::<L>()..]);
+    }
+    all
+}
+
+#[inline(always)]
+fn store<L: Lanes, const VECTORS: usize>(vectors: &[L::Vector; VECTORS], to: &mut [f32]) {
+    for (v, vector) in vectors.iter().enumerate() {
+        L::store(*vector, &mut to[v * lanes::<L>()..]);
+    }
+}
+
+/// First terms of the sums of columns `j..`.
+#[inline(always)]
+fn start<L: Lanes, const VECTORS: usize>(bias: Option<&[f32]>, j: usize) -> [L::Vector; VECTORS] {
+    match bias {
+        Some(bias) => load::<L, VECTORS>(&bias[j..]),
+        None => [L::splat(0.0); VECTORS],
+    }
+}
+
+/// Rows of the right matrix that are used before the next ones are: as many as a mask has bits. With the
+/// widest stripe they are 16 KiB and stay in the first cache.
+const BLOCK: usize = 32;
+/// Masks made at once, so that making them and using them overlap.
+const MASKS: usize = 64;
+
+/// Bit `l` is set where number `l` is not zero.
+#[inline(always)]
+fn mask<L: Lanes>(numbers: &[f32]) -> u32 {
+    let (whole, rest) = numbers.as_chunks::<16>();
+    let mut mask = 0;
+    for (i, lanes) in whole.iter().enumerate() {
+        mask |= L::nonzero(lanes) << (16 * i);
+    }
+    for (l, x) in rest.iter().enumerate() {
+        mask |= u32::from(*x != 0.0) << (16 * whole.len() + l);
+    }
+    mask
+}
+
+/// Adds `factor(k) · b[k, ..]` for the bits `k` of `mask`; `b` begins with the columns in question.
+#[inline(always)]
+fn add_terms<L: Lanes, const VECTORS: usize>(
+    mut mask: u32,
+    left: (&[f32], usize),
+    b: &[f32],
+    cols: usize,
+    sums: &mut [L::Vector; VECTORS],
+) {
+    while mask != 0 {
+        let k = mask.trailing_zeros() as usize;
+        mask &= mask - 1;
+        let factor = L::splat(left.0[k * left.1]);
+        let line = &b[k * cols..k * cols + VECTORS * lanes::<L>()];
+        for (v, sum) in sums.iter_mut().enumerate() {
+            *sum = L::add_product(*sum, factor, L::load(&line[v * lanes::<L>()..]));
+        }
+    }
+}
+
+/// All rows of one stripe of columns, without the terms that are zero. One row at a time, since each has
+/// its own zeros: a stripe is so wide that its sums alone keep the machine busy.
+#[inline(always)]
+fn sparse_stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
+    let mut masks = [0u32; MASKS];
+    for k in (0..a.cols).step_by(BLOCK) {
+        let end = a.cols.min(k + BLOCK);
+        for first in (0..a.rows).step_by(MASKS) {
+            let last = a.rows.min(first + MASKS);
+            for (mask, i) in masks.iter_mut().zip(first..last) {
+                *mask = self::mask::<L>(&a.data[i * a.cols + k..i * a.cols + end]);
+            }
+            for (mask, i) in masks.iter().zip(first..last) {
+                let left = &a.data[i * a.cols + k..i * a.cols + end];
+                let at = i * b.cols + j;
+                let line = &mut out.data[at..at + VECTORS * lanes::<L>()];
+                let mut sums = if k == 0 { start::<L, VECTORS>(out.bias, j) } else { load::<L, VECTORS>(line) };
+                add_terms::<L, VECTORS>(*mask, (left, 1), &b.data[k * b.cols + j..], b.cols, &mut sums);
+                store::<L, VECTORS>(&sums, line);
+                if end == a.cols {
+                    out.finish.apply(line, at);
+                }
             }
         }
     }
-    for (r, sum) in sums.iter().enumerate() {
-        let line = &mut out.data[(i + r) * b.cols + j..(i + r) * b.cols + j + COLS];
-        line.copy_from_slice(sum);
-        if out.relu {
-            for value in line {
-                *value = if *value < 0.0 { 0.0 } else { *value };
+}
+
+/// One tile: `ROWS` rows of A times some vectors of columns of B.
+#[inline(always)]
+fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut Output<'_>,
+    i: usize,
+    j: usize,
+) {
+    let k = a.cols;
+    let rows: [&[f32]; ROWS] = core::array::from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
+    let mut sums = [start::<L, VECTORS>(out.bias, j); ROWS];
+    for kk in 0..k {
+        let line = load::<L, VECTORS>(&b.data[kk * b.cols + j..]);
+        for (row, sums) in rows.iter().zip(&mut sums) {
+            let factor = L::splat(row[kk]);
+            for (sum, right) in sums.iter_mut().zip(line) {
+                *sum = L::add_product(*sum, factor, right);
             }
         }
+    }
+    for (r, sums) in sums.iter().enumerate() {
+        let at = (i + r) * b.cols + j;
+        let line = &mut out.data[at..at + VECTORS * lanes::<L>()];
+        store::<L, VECTORS>(sums, line);
+        out.finish.apply(line, at);
     }
 }
 
 /// All rows of one stripe of columns. Narrow stripes take many rows at once: each sum is a chain, and
 /// only independent chains keep the machine busy.
 #[inline(always)]
-fn stripe<const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
+fn stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
     let mut i = 0;
-    if COLS <= 4 {
+    if VECTORS == 1 {
         while i + 8 <= a.rows {
-            tile::<8, COLS>(a, b, out, i, j);
+            tile::<L, 8, VECTORS>(a, b, out, i, j);
             i += 8;
         }
     }
     while i + 4 <= a.rows {
-        tile::<4, COLS>(a, b, out, i, j);
+        tile::<L, 4, VECTORS>(a, b, out, i, j);
         i += 4;
     }
-    if i + 2 <= a.rows {
-        tile::<2, COLS>(a, b, out, i, j);
-        i += 2;
-    }
-    if i < a.rows {
-        tile::<1, COLS>(a, b, out, i, j);
+    while i < a.rows {
+        tile::<L, 1, VECTORS>(a, b, out, i, j);
+        i += 1;
     }
 }
 
-/// `C = start + A·B` with A `[m, k]`, B `[k, n]`, C `[m, n]`, in stripes of `WIDE` columns.
+/// `C = start + A·B` with A `[m, k]`, B `[k, n]`, C `[m, n]`, in stripes of so many vectors: `DENSE` or
+/// `SPARSE`, and `LAST` for 32 columns.
 #[inline(always)]
-pub(super) fn product_body<const WIDE: usize>(a: Matrix<'_>, b: Matrix<'_>, mut c: Output<'_>) {
+pub(super) fn product_body<L: Lanes, const DENSE: usize, const SPARSE: usize, const LAST: usize>(
+    factors: Factors,
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    mut c: Output<'_>,
+) {
     assert_eq!(a.cols, b.rows, "inner sizes of a product agree");
     let mut j = 0;
-    while j + WIDE <= b.cols {
-        stripe::<WIDE>(a, b, &mut c, j);
-        j += WIDE;
+    if factors == Factors::Sparse {
+        debug_assert!(c.bias.is_none_or(|bias| bias.iter().all(|b| b.to_bits() != 1 << 31)), "no bias is -0");
+        while j + SPARSE * lanes::<L>() <= b.cols {
+            sparse_stripe::<L, SPARSE>(a, b, &mut c, j);
+            j += SPARSE * lanes::<L>();
+        }
+        while j + 32 <= b.cols {
+            sparse_stripe::<L, LAST>(a, b, &mut c, j);
+            j += 32;
+        }
     }
-    while j + 16 <= b.cols {
-        stripe::<16>(a, b, &mut c, j);
-        j += 16;
+    while j + DENSE * lanes::<L>() <= b.cols {
+        stripe::<L, DENSE>(a, b, &mut c, j);
+        j += DENSE * lanes::<L>();
     }
-    while j + 4 <= b.cols {
-        stripe::<4>(a, b, &mut c, j);
-        j += 4;
+    while j + lanes::<L>() <= b.cols {
+        stripe::<L, 1>(a, b, &mut c, j);
+        j += lanes::<L>();
+    }
+    while j + lanes::<Baseline>() <= b.cols {
+        stripe::<Baseline, 1>(a, b, &mut c, j);
+        j += lanes::<Baseline>();
     }
     if j + 2 <= b.cols {
-        stripe::<2>(a, b, &mut c, j);
+        stripe::<One, 2>(a, b, &mut c, j);
         j += 2;
     }
     if j < b.cols {
-        stripe::<1>(a, b, &mut c, j);
+        stripe::<One, 1>(a, b, &mut c, j);
     }
 }
 
-/// One tile of `Aᵀ·B`: `ROWS` columns of A, `COLS` columns of B, reduction over their rows.
+/// One tile of `Aᵀ·B`: `ROWS` columns of A, some vectors of columns of B, reduction over their rows.
 #[inline(always)]
-fn tile_transposed<const ROWS: usize, const COLS: usize>(
+fn tile_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     a: Matrix<'_>,
     b: Matrix<'_>,
     out: &mut [f32],
     i: usize,
     j: usize,
 ) {
-    let mut sums = [[0.0f32; COLS]; ROWS];
+    let mut sums = [[L::splat(0.0); VECTORS]; ROWS];
     for (left, right) in a.data.chunks_exact(a.cols).zip(b.data.chunks_exact(b.cols)) {
         let factors: &[f32; ROWS] = left[i..i + ROWS].try_into().expect("a full tile");
-        let line: &[f32; COLS] = right[j..j + COLS].try_into().expect("a full tile");
-        for r in 0..ROWS {
-            for l in 0..COLS {
-                sums[r][l] += factors[r] * line[l];
+        let line = load::<L, VECTORS>(&right[j..]);
+        for (factor, sums) in factors.iter().zip(&mut sums) {
+            let factor = L::splat(*factor);
+            for (sum, right) in sums.iter_mut().zip(line) {
+                *sum = L::add_product(*sum, factor, right);
             }
         }
     }
-    for (r, sum) in sums.iter().enumerate() {
-        out[(i + r) * b.cols + j..(i + r) * b.cols + j + COLS].copy_from_slice(sum);
+    for (r, sums) in sums.iter().enumerate() {
+        store::<L, VECTORS>(sums, &mut out[(i + r) * b.cols + j..]);
     }
 }
 
 #[inline(always)]
-fn stripe_transposed<const COLS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], j: usize) {
+fn stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], j: usize) {
     let mut i = 0;
+    if VECTORS == 1 {
+        while i + 8 <= a.cols {
+            tile_transposed::<L, 8, VECTORS>(a, b, out, i, j);
+            i += 8;
+        }
+    }
     while i + 4 <= a.cols {
-        tile_transposed::<4, COLS>(a, b, out, i, j);
+        tile_transposed::<L, 4, VECTORS>(a, b, out, i, j);
         i += 4;
     }
     while i < a.cols {
-        tile_transposed::<1, COLS>(a, b, out, i, j);
+        tile_transposed::<L, 1, VECTORS>(a, b, out, i, j);
         i += 1;
     }
 }
 
-/// `C = Aᵀ·B` with A `[k, m]`, B `[k, n]`, C `[m, n]`: the gradient of a weight matrix.
+/// All columns of A against one stripe of columns of B, without the terms that are zero.
 #[inline(always)]
-pub(super) fn product_transposed_body<const WIDE: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32]) {
+fn sparse_stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], j: usize) {
+    for k in (0..a.rows).step_by(BLOCK) {
+        let end = a.rows.min(k + BLOCK);
+        for first in (0..a.cols).step_by(MASKS) {
+            let last = a.cols.min(first + MASKS);
+            let mut masks = [0u32; MASKS];
+            for (l, left) in a.data[k * a.cols..end * a.cols].chunks_exact(a.cols).enumerate() {
+                for (mask, x) in masks.iter_mut().zip(&left[first..last]) {
+                    *mask |= u32::from(*x != 0.0) << l;
+                }
+            }
+            for (mask, i) in masks.iter().zip(first..last) {
+                let left = &a.data[k * a.cols + i..];
+                let at = i * b.cols + j;
+                let line = &mut out[at..at + VECTORS * lanes::<L>()];
+                let mut sums = if k == 0 { [L::splat(0.0); VECTORS] } else { load::<L, VECTORS>(line) };
+                add_terms::<L, VECTORS>(*mask, (left, a.cols), &b.data[k * b.cols + j..], b.cols, &mut sums);
+                store::<L, VECTORS>(&sums, line);
+            }
+        }
+    }
+}
+
+/// `C = Aᵀ·B` with A `[k, m]`, B `[k, n]`, C `[m, n]`: the gradient of a weight matrix. Stripes as in
+/// [`product_body`].
+#[inline(always)]
+pub(super) fn product_transposed_body<L: Lanes, const DENSE: usize, const SPARSE: usize, const LAST: usize>(
+    factors: Factors,
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut [f32],
+) {
     assert_eq!(a.rows, b.rows, "inner sizes of a product agree");
     let mut j = 0;
-    while j + WIDE <= b.cols {
-        stripe_transposed::<WIDE>(a, b, out, j);
-        j += WIDE;
+    if factors == Factors::Sparse {
+        while j + SPARSE * lanes::<L>() <= b.cols {
+            sparse_stripe_transposed::<L, SPARSE>(a, b, out, j);
+            j += SPARSE * lanes::<L>();
+        }
+        while j + 32 <= b.cols {
+            sparse_stripe_transposed::<L, LAST>(a, b, out, j);
+            j += 32;
+        }
     }
-    while j + 16 <= b.cols {
-        stripe_transposed::<16>(a, b, out, j);
-        j += 16;
+    while j + DENSE * lanes::<L>() <= b.cols {
+        stripe_transposed::<L, DENSE>(a, b, out, j);
+        j += DENSE * lanes::<L>();
     }
-    while j + 4 <= b.cols {
-        stripe_transposed::<4>(a, b, out, j);
-        j += 4;
+    while j + lanes::<L>() <= b.cols {
+        stripe_transposed::<L, 1>(a, b, out, j);
+        j += lanes::<L>();
+    }
+    while j + lanes::<Baseline>() <= b.cols {
+        stripe_transposed::<Baseline, 1>(a, b, out, j);
+        j += lanes::<Baseline>();
     }
     while j < b.cols {
-        stripe_transposed::<1>(a, b, out, j);
+        stripe_transposed::<One, 1>(a, b, out, j);
         j += 1;
     }
 }
@@ -232,10 +440,20 @@ pub(super) fn probe_body(rounds: usize, x: &mut [f32; PROBE_LANES]) {
     *x = lanes;
 }
 
-/// `out[c, r] = a[r, c]`, in blocks of four by four.
+/// `out[c] = Σ_r a[r, c]`, rows in order: the gradient of a bias.
 #[inline(always)]
-pub(super) fn transpose_body(a: Matrix<'_>, out: &mut [f32]) {
-    const BLOCK: usize = 4;
+pub(super) fn sum_columns_body(a: Matrix<'_>, out: &mut [f32]) {
+    out.fill(0.0);
+    for row in a.data.chunks_exact(a.cols) {
+        for (sum, x) in out.iter_mut().zip(row) {
+            *sum += x;
+        }
+    }
+}
+
+/// `out[c, r] = a[r, c]`, in square blocks.
+#[inline(always)]
+pub(super) fn transpose_body<const BLOCK: usize>(a: Matrix<'_>, out: &mut [f32]) {
     let (rows, cols) = (a.rows, a.cols);
     let (whole_rows, whole_cols) = (rows - rows % BLOCK, cols - cols % BLOCK);
     for c in (0..whole_cols).step_by(BLOCK) {
@@ -299,18 +517,50 @@ mod tests {
     fn every_vector_unit_gives_the_bits_of_the_definition() {
         let mut rng = Rng::new(3);
         assert!(Isa::supported().count() >= 1);
-        for (m, n, k) in [(1, 1, 1), (3, 4, 5), (33, 128, 128), (7, 149, 11), (32, 2, 128), (64, 70, 33)] {
-            let (a, b, bias) = (random(m * k, &mut rng), random(k * n, &mut rng), random(n, &mut rng));
+        for (m, n, k) in [(1, 1, 1), (3, 4, 5), (33, 128, 128), (7, 149, 11), (32, 2, 128), (65, 182, 70)] {
+            let (mut a, b, mut bias) = (random(m * k, &mut rng), random(k * n, &mut rng), random(n, &mut rng));
+            // Zeros of both signs, a row and a column of zeros, and a bias of zero.
+            for (i, x) in a.iter_mut().enumerate() {
+                if rng.bernoulli(0.5) || i / k == 2 || i % k == 3 {
+                    *x *= 0.0;
+                }
+            }
+            bias[n / 2] = 0.0;
             let at: Vec<f32> = (0..k * m).map(|i| a[(i % m) * k + i / m]).collect();
             let expected = plain(m, n, k, |i, kk| a[i * k + kk], &b, Some(&bias));
             let expected_t = plain(m, n, k, |i, kk| a[i * k + kk], &b, None);
             for isa in Isa::supported() {
                 let mut c = vec![f32::NAN; m * n];
-                let out = Output { data: &mut c, bias: Some(&bias), relu: false };
-                isa::product(isa, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
-                assert_eq!(bits(&c), bits(&expected), "{isa:?} {m} {n} {k}");
-                isa::product_transposed(isa, Matrix::new(&at, k, m), Matrix::new(&b, k, n), &mut c);
-                assert_eq!(bits(&c), bits(&expected_t), "{isa:?} {m} {n} {k} transposed");
+                for factors in [Factors::Dense, Factors::Sparse] {
+                    let out = Output { data: &mut c, bias: Some(&bias), finish: Finish::Plain };
+                    isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
+                    assert_eq!(bits(&c), bits(&expected), "{isa:?} {factors:?} {m} {n} {k}");
+                    isa::product_transposed(isa, factors, Matrix::new(&at, k, m), Matrix::new(&b, k, n), &mut c);
+                    assert_eq!(bits(&c), bits(&expected_t), "{isa:?} {factors:?} {m} {n} {k} transposed");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_done_last_is_done_once() {
+        // 40 terms: two blocks, of which the first ends below zero.
+        let (m, n, k) = (3, 36, 40);
+        let a: Vec<f32> = (0..m * k).map(|i| if i % k < 32 { -1.0 } else { 1.0 + (i / k) as f32 * 4.0 }).collect();
+        let b = vec![1.0; k * n];
+        let active: Vec<f32> = (0..m * n).map(|i| (i % 3) as f32 - 1.0).collect();
+        for isa in Isa::supported() {
+            for factors in [Factors::Dense, Factors::Sparse] {
+                let run = |finish| {
+                    let mut c = vec![f32::NAN; m * n];
+                    let out = Output { data: &mut c, bias: None, finish };
+                    isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
+                    c
+                };
+                let sums = [-24.0, 8.0, 40.0];
+                assert!(run(Finish::Relu).iter().enumerate().all(|(i, x)| *x == f32::max(sums[i / n], 0.0)));
+                let kept = |i: usize| if i % 3 == 2 { sums[i / n] } else { 0.0 };
+                assert!(run(Finish::Where(&active)).iter().enumerate().all(|(i, x)| *x == kept(i)));
             }
         }
     }
@@ -324,8 +574,8 @@ mod tests {
             indices.iter().for_each(|&i| input[i as usize] = 1.0);
             for isa in Isa::supported() {
                 let (mut dense, mut sparse) = (vec![0.0; n], vec![0.0; n]);
-                let out = Output { data: &mut dense, bias: Some(&bias), relu: true };
-                isa::product(isa, Matrix::new(&input, 1, width), Matrix::new(&weights, width, n), out);
+                let out = Output { data: &mut dense, bias: Some(&bias), finish: Finish::Relu };
+                isa::product(isa, Factors::Dense, Matrix::new(&input, 1, width), Matrix::new(&weights, width, n), out);
                 isa::sum_rows(isa, Matrix::new(&weights, width, n), &indices, &bias, &mut sparse);
                 assert_eq!(bits(&dense), bits(&sparse), "{isa:?}");
                 let mut grads = vec![1.0; width * n];

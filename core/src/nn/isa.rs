@@ -7,12 +7,12 @@
 //! # Why the unsafe code is sound
 //! A function compiled for a vector unit may run only where that unit exists. An [`Isa`] above the
 //! baseline can be made only by [`Isa::supported`], which asks the processor; every call below is
-//! guarded by matching on such a value. The square-root intrinsics work on values, not on pointers.
+//! guarded by matching on such a value. The intrinsics work on values, not on pointers.
 #![allow(unsafe_code)]
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
-use super::gemm::{self, Matrix, Output};
+use super::gemm::{self, Factors, Matrix, Output};
 use super::optim::{self, Constants, State};
 
 /// A vector unit that this machine has.
@@ -94,16 +94,98 @@ impl Isa {
     }
 }
 
-/// Square roots, which `core` does not offer on floats: exact (correctly rounded) on every target.
+/// Numbers side by side, and what plain loops do not become. Compilers keep the sums of a product in
+/// registers only if they are vectors in the source; square roots are not in `core` (these are exact, that
+/// is correctly rounded, on every target); bit masks have instructions of their own.
 pub(super) trait Lanes {
+    /// As many numbers as a vector of this unit has.
+    type Vector: Copy;
+    /// One number in every lane.
+    fn splat(x: f32) -> Self::Vector;
+    /// The first numbers of `from`.
+    fn load(from: &[f32]) -> Self::Vector;
+    /// Writes to the first numbers of `to`.
+    fn store(x: Self::Vector, to: &mut [f32]);
+    /// `sum + a · b`, both rounded.
+    fn add_product(sum: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// Elementwise square root.
     fn sqrt(x: [f32; 16]) -> [f32; 16];
+    /// Bit `l` is set where number `l` is not zero; what is not a number is not zero.
+    fn nonzero(x: &[f32; 16]) -> u32;
 }
 
-/// The compile target's own vectors.
+/// Four lanes: the compile target's own vectors.
 pub(super) struct Baseline;
 
+#[cfg(target_arch = "aarch64")]
+use core::arch::aarch64::{float32x4_t as Four, vaddq_f32, vmulq_f32};
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+use core::arch::wasm32::{f32x4_add, f32x4_mul, v128 as Four};
+#[cfg(target_arch = "x86_64")]
+use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_mul_ps};
+#[cfg(target_arch = "x86_64")]
+use core::arch::x86_64::{
+    __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps,
+    _mm256_setzero_ps, _mm256_sqrt_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_mul_ps, _mm512_set1_ps,
+    _mm512_setzero_ps, _mm512_sqrt_ps,
+};
+/// No vectors at all.
+#[cfg(not(any(
+    target_arch = "x86_64",
+    target_arch = "aarch64",
+    all(target_arch = "wasm32", target_feature = "simd128")
+)))]
+type Four = [f32; 4];
+
 impl Lanes for Baseline {
+    type Vector = Four;
+
+    #[inline(always)]
+    fn splat(x: f32) -> Four {
+        // SAFETY: both types are 16 bytes of plain numbers.
+        unsafe { core::mem::transmute::<[f32; 4], Four>([x; 4]) }
+    }
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> Four {
+        let lanes: &[f32; 4] = from[..4].try_into().expect("4 lanes");
+        // SAFETY: both types are 16 bytes of plain numbers.
+        unsafe { core::mem::transmute::<[f32; 4], Four>(*lanes) }
+    }
+
+    #[inline(always)]
+    fn store(x: Four, to: &mut [f32]) {
+        let lanes: &mut [f32; 4] = (&mut to[..4]).try_into().expect("4 lanes");
+        // SAFETY: both types are 16 bytes of plain numbers.
+        *lanes = unsafe { core::mem::transmute::<Four, [f32; 4]>(x) };
+    }
+
+    #[inline(always)]
+    fn add_product(sum: Four, a: Four, b: Four) -> Four {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: SSE is part of x86-64.
+        unsafe {
+            _mm_add_ps(sum, _mm_mul_ps(a, b))
+        }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        {
+            f32x4_add(sum, f32x4_mul(a, b))
+        }
+        #[cfg(target_arch = "aarch64")]
+        // SAFETY: NEON is part of AArch64.
+        unsafe {
+            vaddq_f32(sum, vmulq_f32(a, b))
+        }
+        #[cfg(not(any(
+            target_arch = "x86_64",
+            target_arch = "aarch64",
+            all(target_arch = "wasm32", target_feature = "simd128")
+        )))]
+        {
+            core::array::from_fn(|l| sum[l] + a[l] * b[l])
+        }
+    }
+
     #[inline(always)]
     fn sqrt(x: [f32; 16]) -> [f32; 16] {
         #[cfg(target_arch = "x86_64")]
@@ -142,37 +224,166 @@ impl Lanes for Baseline {
             x.map(libm::sqrtf)
         }
     }
+
+    #[inline(always)]
+    fn nonzero(x: &[f32; 16]) -> u32 {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use core::arch::x86_64::{__m128, _mm_cmpneq_ps, _mm_movemask_ps, _mm_setzero_ps};
+            // SAFETY: both types are 64 bytes of plain numbers; SSE is part of x86-64.
+            let masks = unsafe {
+                let parts: [__m128; 4] = core::mem::transmute(*x);
+                parts.map(|part| _mm_movemask_ps(_mm_cmpneq_ps(part, _mm_setzero_ps())) as u32)
+            };
+            masks[0] | masks[1] << 4 | masks[2] << 8 | masks[3] << 12
+        }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        {
+            use core::arch::wasm32::{f32x4_ne, f32x4_splat, i32x4_bitmask, v128};
+            // SAFETY: both types are 64 bytes of plain numbers; the whole module needs SIMD128.
+            let parts: [v128; 4] = unsafe { core::mem::transmute(*x) };
+            let masks = parts.map(|part| u32::from(i32x4_bitmask(f32x4_ne(part, f32x4_splat(0.0)))));
+            masks[0] | masks[1] << 4 | masks[2] << 8 | masks[3] << 12
+        }
+        #[cfg(not(any(target_arch = "x86_64", all(target_arch = "wasm32", target_feature = "simd128"))))]
+        {
+            (0..16).fold(0, |mask, l| mask | u32::from(x[l] != 0.0) << l)
+        }
+    }
+}
+
+/// One lane: what is left of a row.
+pub(super) struct One;
+
+impl Lanes for One {
+    type Vector = f32;
+
+    #[inline(always)]
+    fn splat(x: f32) -> f32 {
+        x
+    }
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> f32 {
+        from[0]
+    }
+
+    #[inline(always)]
+    fn store(x: f32, to: &mut [f32]) {
+        to[0] = x;
+    }
+
+    #[inline(always)]
+    fn add_product(sum: f32, a: f32, b: f32) -> f32 {
+        sum + a * b
+    }
+
+    #[inline(always)]
+    fn sqrt(x: [f32; 16]) -> [f32; 16] {
+        Baseline::sqrt(x)
+    }
+
+    #[inline(always)]
+    fn nonzero(x: &[f32; 16]) -> u32 {
+        Baseline::nonzero(x)
+    }
 }
 
 /// 256-bit vectors.
 #[cfg(target_arch = "x86_64")]
-struct Avx2;
+pub(super) struct Avx2;
 
+// SAFETY of this block: vectors and arrays of one length are the same plain numbers, and only code compiled
+// for AVX2 names this type.
 #[cfg(target_arch = "x86_64")]
 impl Lanes for Avx2 {
+    type Vector = __m256;
+
+    #[inline(always)]
+    fn splat(x: f32) -> __m256 {
+        unsafe { _mm256_set1_ps(x) }
+    }
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> __m256 {
+        let lanes: &[f32; 8] = from[..8].try_into().expect("8 lanes");
+        unsafe { core::mem::transmute::<[f32; 8], __m256>(*lanes) }
+    }
+
+    #[inline(always)]
+    fn store(x: __m256, to: &mut [f32]) {
+        let lanes: &mut [f32; 8] = (&mut to[..8]).try_into().expect("8 lanes");
+        *lanes = unsafe { core::mem::transmute::<__m256, [f32; 8]>(x) };
+    }
+
+    #[inline(always)]
+    fn add_product(sum: __m256, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_add_ps(sum, _mm256_mul_ps(a, b)) }
+    }
+
     #[inline(always)]
     fn sqrt(x: [f32; 16]) -> [f32; 16] {
-        use core::arch::x86_64::{__m256, _mm256_sqrt_ps};
-        // SAFETY: both types are 64 bytes of plain numbers; only code compiled for AVX2 names this type.
         unsafe {
             let parts: [__m256; 2] = core::mem::transmute(x);
             core::mem::transmute([_mm256_sqrt_ps(parts[0]), _mm256_sqrt_ps(parts[1])])
+        }
+    }
+
+    #[inline(always)]
+    fn nonzero(x: &[f32; 16]) -> u32 {
+        unsafe {
+            let [low, high]: [__m256; 2] = core::mem::transmute(*x);
+            let low = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(low, _mm256_setzero_ps())) as u32;
+            let high = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(high, _mm256_setzero_ps())) as u32;
+            low | high << 8
         }
     }
 }
 
 /// 512-bit vectors.
 #[cfg(target_arch = "x86_64")]
-struct Avx512;
+pub(super) struct Avx512;
 
+// SAFETY of this block: vectors and arrays of one length are the same plain numbers, and only code compiled
+// for AVX-512 names this type.
 #[cfg(target_arch = "x86_64")]
 impl Lanes for Avx512 {
+    type Vector = __m512;
+
+    #[inline(always)]
+    fn splat(x: f32) -> __m512 {
+        unsafe { _mm512_set1_ps(x) }
+    }
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> __m512 {
+        let lanes: &[f32; 16] = from[..16].try_into().expect("16 lanes");
+        unsafe { core::mem::transmute::<[f32; 16], __m512>(*lanes) }
+    }
+
+    #[inline(always)]
+    fn store(x: __m512, to: &mut [f32]) {
+        let lanes: &mut [f32; 16] = (&mut to[..16]).try_into().expect("16 lanes");
+        *lanes = unsafe { core::mem::transmute::<__m512, [f32; 16]>(x) };
+    }
+
+    #[inline(always)]
+    fn add_product(sum: __m512, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_add_ps(sum, _mm512_mul_ps(a, b)) }
+    }
+
     #[inline(always)]
     fn sqrt(x: [f32; 16]) -> [f32; 16] {
-        use core::arch::x86_64::{__m512, _mm512_sqrt_ps};
-        // SAFETY: both types are 64 bytes of plain numbers; only code compiled for AVX-512 names this type.
         unsafe {
             core::mem::transmute::<__m512, [f32; 16]>(_mm512_sqrt_ps(core::mem::transmute::<[f32; 16], __m512>(x)))
+        }
+    }
+
+    #[inline(always)]
+    fn nonzero(x: &[f32; 16]) -> u32 {
+        unsafe {
+            let x = core::mem::transmute::<[f32; 16], __m512>(*x);
+            u32::from(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(x, _mm512_setzero_ps()))
         }
     }
 }
@@ -207,19 +418,26 @@ macro_rules! kernel {
 
 kernel!(
     /// `C = start + A·B`, see [`gemm`].
-    product(a: Matrix<'_>, b: Matrix<'_>, c: Output<'_>),
-    baseline: gemm::product_body::<8>, avx2: gemm::product_body::<16>, avx512: gemm::product_body::<64>
+    product(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: Output<'_>),
+    baseline: gemm::product_body::<Baseline, 2, 8, 8>, avx2: gemm::product_body::<Avx2, 2, 8, 4>,
+    avx512: gemm::product_body::<Avx512, 4, 8, 2>
 );
 kernel!(
     /// `C = Aᵀ·B`, see [`gemm`].
-    product_transposed(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]),
-    baseline: gemm::product_transposed_body::<8>, avx2: gemm::product_transposed_body::<16>,
-    avx512: gemm::product_transposed_body::<64>
+    product_transposed(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]),
+    baseline: gemm::product_transposed_body::<Baseline, 2, 8, 8>,
+    avx2: gemm::product_transposed_body::<Avx2, 2, 8, 4>,
+    avx512: gemm::product_transposed_body::<Avx512, 4, 8, 2>
 );
 kernel!(
     /// `out = bias + Σ rows[index]`, see [`gemm`].
     sum_rows(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32]),
-    baseline: gemm::sum_rows_body::<16>, avx2: gemm::sum_rows_body::<32>, avx512: gemm::sum_rows_body::<64>
+    baseline: gemm::sum_rows_body::<16>, avx2: gemm::sum_rows_body::<64>, avx512: gemm::sum_rows_body::<128>
+);
+kernel!(
+    /// `out = Σ rows`, see [`gemm`].
+    sum_columns(rows: Matrix<'_>, out: &mut [f32]),
+    baseline: gemm::sum_columns_body, avx2: gemm::sum_columns_body, avx512: gemm::sum_columns_body
 );
 kernel!(
     /// `rows[index] += add` for every index, see [`gemm`].
@@ -235,7 +453,7 @@ kernel!(
 kernel!(
     /// `out = aᵀ`, see [`gemm`].
     transpose(a: Matrix<'_>, out: &mut [f32]),
-    baseline: gemm::transpose_body, avx2: gemm::transpose_body, avx512: gemm::transpose_body
+    baseline: gemm::transpose_body::<4>, avx2: gemm::transpose_body::<8>, avx512: gemm::transpose_body::<16>
 );
 kernel!(
     /// The most multiply-adds that can be had, see [`gemm`].
@@ -251,6 +469,13 @@ mod tests {
     fn unknown_units_are_answered() {
         let error = Isa::force("avx1024").unwrap_err();
         assert!(error.contains("`avx1024` is none of"), "{error}");
+    }
+
+    #[test]
+    fn masks_name_what_is_not_zero() {
+        let mut x = [1.0; 16];
+        (x[0], x[3], x[9], x[15]) = (0.0, -0.0, f32::NAN, 0.0);
+        assert_eq!(Baseline::nonzero(&x), 0b0111_1111_1111_0110);
     }
 
     #[test]

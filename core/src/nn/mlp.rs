@@ -10,7 +10,7 @@ use ndarray::{ArrayView1, ArrayView2};
 use serde::{Deserialize, Serialize};
 
 use super::buffer::Buffer;
-use super::gemm::{Matrix, Output};
+use super::gemm::{Factors, Finish, Matrix, Output};
 use super::isa::{self, Isa};
 use super::optim::Adam;
 use super::rows::Rows;
@@ -168,6 +168,17 @@ impl Mlp {
         })
     }
 
+    /// The layers with their index, the last first.
+    fn layers_backwards(&self) -> impl Iterator<Item = (usize, Layer)> + '_ {
+        let mut end = self.params.len();
+        self.sizes.windows(2).enumerate().rev().map(move |(index, pair)| {
+            let (inputs, outputs) = (pair[0], pair[1]);
+            let bias = end - outputs;
+            end = bias - inputs * outputs;
+            (index, Layer { inputs, outputs, weights: end, bias })
+        })
+    }
+
     /// Outputs for every row, `[rows.len(), outputs]`, row-major. The slice lives in `scratch`.
     pub fn forward<'s>(&self, rows: &Rows, scratch: &'s mut Scratch) -> &'s [f32] {
         debug_assert_eq!(rows.width(), self.sizes[0], "width of the input");
@@ -195,8 +206,9 @@ impl Mlp {
                     }
                     None => rows.dense(),
                 };
-                let output = Output { data: out, bias: Some(bias), relu: index != last };
-                isa::product(isa, Matrix::new(input, count, layer.inputs), weights, output);
+                let finish = if index == last { Finish::Plain } else { Finish::Relu };
+                let output = Output { data: out, bias: Some(bias), finish };
+                isa::product(isa, factors(index), Matrix::new(input, count, layer.inputs), weights, output);
             }
         }
         &scratch.layers[last][..count * self.outputs()]
@@ -209,13 +221,21 @@ impl Mlp {
 
     /// Derivative of a scalar loss with respect to the inputs of a layer from input `from` on, given that
     /// with respect to its outputs, `[rows, outputs]`; writes `[rows, inputs - from]` to `out`.
-    fn data_gradient(&self, layer: Layer, from: usize, delta: Matrix<'_>, transposed: &mut Buffer, out: &mut Buffer) {
+    fn data_gradient(
+        &self,
+        layer: Layer,
+        from: usize,
+        delta: Matrix<'_>,
+        finish: Finish<'_>,
+        transposed: &mut Buffer,
+        out: &mut Buffer,
+    ) {
         let isa = Isa::active();
         let (inputs, outputs) = (layer.inputs - from, layer.outputs);
         let own = Matrix::new(&self.params[layer.weights + from * outputs..], inputs, outputs);
         isa::transpose(isa, own, transposed.at_least(inputs * outputs));
-        let output = Output { data: out.at_least(delta.rows * inputs), bias: None, relu: false };
-        isa::product(isa, delta, Matrix::new(transposed, outputs, inputs), output);
+        let output = Output { data: out.at_least(delta.rows * inputs), bias: None, finish };
+        isa::product(isa, Factors::Sparse, delta, Matrix::new(transposed, outputs, inputs), output);
     }
 
     /// Gradient of a scalar loss with respect to the inputs from input `from` on, `[count, width - from]`,
@@ -230,14 +250,11 @@ impl Mlp {
     ) -> &'s [f32] {
         let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
-        let layers: Vec<Layer> = self.layers().collect();
-        for (index, layer) in layers.iter().enumerate().rev() {
+        for (index, layer) in self.layers_backwards() {
             let d = Matrix::new(delta, count, layer.outputs);
-            let skipped = if index == 0 { from } else { 0 };
-            self.data_gradient(*layer, skipped, d, transposed, next_delta);
-            if index > 0 {
-                pass_where_active(&mut next_delta[..count * layer.inputs], &activations[index - 1]);
-            }
+            let (from, finish) =
+                if index == 0 { (from, Finish::Plain) } else { (0, Finish::Where(&activations[index - 1])) };
+            self.data_gradient(layer, from, d, finish, transposed, next_delta);
             core::mem::swap(delta, next_delta);
         }
         &delta[..count * (self.sizes[0] - from)]
@@ -263,17 +280,15 @@ impl Mlp {
         }
         let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
-        let layers: Vec<Layer> = self.layers().collect();
-        for (index, layer) in layers.iter().enumerate().rev() {
+        for (index, layer) in self.layers_backwards() {
             let (inputs, outputs) = (layer.inputs, layer.outputs);
             let d = Matrix::new(delta, count, outputs);
-            sum_columns(d, &mut gradient.values[layer.bias..layer.bias + outputs]);
+            isa::sum_columns(isa, d, &mut gradient.values[layer.bias..layer.bias + outputs]);
             let weights = &mut gradient.values[layer.weights..layer.bias];
             if index > 0 {
                 let h = Matrix::new(&activations[index - 1], count, inputs);
-                isa::product_transposed(isa, h, d, weights);
-                self.data_gradient(*layer, 0, d, transposed, next_delta);
-                pass_where_active(&mut next_delta[..count * inputs], h.data);
+                isa::product_transposed(isa, factors(index), h, d, weights);
+                self.data_gradient(layer, 0, d, Finish::Where(h.data), transposed, next_delta);
                 core::mem::swap(delta, next_delta);
             } else if rows.is_binary() {
                 for row in 0..count {
@@ -286,17 +301,15 @@ impl Mlp {
                 }
             } else {
                 let x = Matrix::new(rows.dense(), count, inputs);
-                isa::product_transposed(isa, x, d, weights);
+                isa::product_transposed(isa, factors(index), x, d, weights);
             }
         }
     }
 }
 
-/// The derivative through a ReLU whose outputs were `activations`.
-fn pass_where_active(delta: &mut [f32], activations: &[f32]) {
-    for (x, h) in delta.iter_mut().zip(activations) {
-        *x = if *h > 0.0 { *x } else { 0.0 };
-    }
+/// What is known about the inputs of layer `index`: behind the first they come out of a ReLU.
+fn factors(index: usize) -> Factors {
+    if index == 0 { Factors::Dense } else { Factors::Sparse }
 }
 
 /// Binary rows as numbers.
@@ -306,16 +319,6 @@ fn write_out(rows: &Rows) -> Vec<f32> {
         rows.ones(row).iter().for_each(|&i| values[row * rows.width() + i as usize] = 1.0);
     }
     values
-}
-
-/// `out[c] = Σ_r a[r, c]`, rows in order.
-fn sum_columns(a: Matrix<'_>, out: &mut [f32]) {
-    out.fill(0.0);
-    for row in a.data.chunks_exact(a.cols) {
-        for (sum, x) in out.iter_mut().zip(row) {
-            *sum += x;
-        }
-    }
 }
 
 #[cfg(test)]
