@@ -15,7 +15,7 @@ export function fill(settings) {
       Object.assign(input, { id: `set-${name}`, name, value, autocomplete: "off" });
       input.dataset.standard = standard;
       label.htmlFor = input.id;
-      const about = make("small", `${help} ${range}; paper’s value for this world: ${standard} (${source}).`);
+      const about = make("small", `${help} ${range}; standard for this world and preset: ${standard} (${source}).`);
       about.id = `about-${name}`;
       input.setAttribute("aria-describedby", about.id);
       field.append(label, input, about);

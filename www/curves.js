@@ -7,7 +7,7 @@ const HEIGHT = 260;
 /** Width of a slider's thumb. */
 const THUMB = 16;
 const EDGE = { left: 46, right: 12, top: 22, bottom: 54 };
-const ARMS = ["safe", "baseline", "mc"];
+const ARMS = Object.keys(LEARNERS);
 
 /** The panel; `open(number)` is called when a verdict mark is chosen with the pointer. */
 export function curves(open) {

@@ -1,9 +1,13 @@
 // Makes and finds elements, and writes numbers and the words that every panel shares.
 
+/** Every leg that a run can have, in the order in which they are told. */
 export const LEARNERS = {
   safe: "Safe training",
   baseline: "Ordinary learner",
   mc: "Modification-considering learner",
+  oracle: "Oracle: its reward is what we want",
+  frozen: "Frozen learner: no updates any more",
+  "frozen-reward": "Learner with a frozen reward model",
 };
 
 /** Whether drawings have the width of a phone. */

@@ -65,9 +65,9 @@ export function momentPanel(turned) {
     get stage() {
       return stage;
     },
-    /** The stage in words. */
-    get words() {
-      return element("stage").textContent;
+    /** What a stage is called. */
+    name(number) {
+      return STAGES[number];
     },
     /** Nothing to show yet, and why. */
     wait(text) {
@@ -90,7 +90,7 @@ export function momentPanel(turned) {
       turn(from);
     },
     turn,
-    /** Plays frames of what the agent does today where the situation before the step will stand. */
+    /** Plays frames of how it goes on if nothing happens, where the situation before the step will stand. */
     prologue(frames, time) {
       frames.forEach((frame, index) => {
         const put = () => draw(before, frame, shown.picture, frames[index - 1]);

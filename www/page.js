@@ -21,7 +21,7 @@ const UNEMBEDDED = ["explain", "limits", "footer"];
 const SPEAK = 2000;
 /** How long a verdict stands before the next check is told, milliseconds. */
 const REST = 2500;
-/** Frames of what the agent does today with which the first story opens. */
+/** Frames with which the first story opens: how it goes on if nothing happens. */
 const OPENING = 5;
 
 /** The recorded refusal, asked for before anything else. */
@@ -43,7 +43,7 @@ let rest = 0;
 const moment = momentPanel((stage) => {
   stopStory();
   put({ stage: stage === moment.last ? null : stage });
-  announce(`Stage ${stage} of ${moment.last}.`);
+  announce(`Stage ${stage} of ${moment.last}: ${moment.name(stage)}.`);
 });
 const film = player(stopStory, (frame) => put({ frame }));
 const table = ledger(choose);
@@ -90,6 +90,8 @@ async function begin(complaint = "", first = false) {
 /** Forgets the last run. */
 function clear() {
   stopStory();
+  // A verdict of the old run that waits to be spoken is of no interest in the new one.
+  clearTimeout(run.speaking);
   run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
   for (const id of ["pictures", "again"]) element(id).hidden = true;
@@ -213,7 +215,7 @@ function choose(number) {
 
 function ask(number) {
   run.asked = number;
-  if (run.recorded) open(run.recorded.get(number));
+  if (run.recorded) open(run.recorded.checks.get(number));
   else computer.ask(number);
 }
 
@@ -329,7 +331,11 @@ function find(checks) {
 function settle() {
   if (run.asked) return;
   const checks = [...run.rows.values()];
-  if (checks.length === 0) return moment.wait("No reward surprised this run, so there was nothing to decide.");
+  if (checks.length === 0) {
+    const judged = !run.recorded || run.recorded.legs.some(({ arm }) => arm === "mc");
+    const why = judged ? "No reward surprised this run" : "This run has no modification-considering learner";
+    return moment.wait(`${why}, so there was nothing to decide.`);
+  }
   if (view.check !== null) {
     say("error", `check: this run has no check ${view.check}, its last is ${checks.at(-1).number}. The first refusal is shown instead.`);
     put({ check: null, frame: null });
@@ -434,7 +440,7 @@ function openTape(text, name) {
   element("start").hidden = true;
   run.world = tape.world;
   run.configuration = tape.configuration ?? "";
-  run.recorded = new Map(tape.checks.map((check) => [check.number, check]));
+  run.recorded = { legs: tape.legs, checks: new Map(tape.checks.map((check) => [check.number, check])) };
   element("run-title").textContent = "A recorded run";
   element("legend").replaceChildren(...legend(tape.world.legend));
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
@@ -592,7 +598,7 @@ document.addEventListener("keydown", (event) => {
   if (event.target.closest("input:not([type=radio]), select, textarea")) return;
   if (event.key === ".") element("next").click();
   if (event.key === ",") element("previous").click();
-  if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex]")) {
+  if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex='0']")) {
     event.preventDefault();
     stopStory();
     film.toggle();

@@ -19,7 +19,7 @@ export function story(moment, film, ended) {
     }
   };
   return {
-    /** Begins; where frames are given, with what the agent does before anything happens. */
+    /** Begins; where frames are given, with how it goes on if nothing happens. */
     play(opening) {
       clearTimeout(timer);
       film.rewind();

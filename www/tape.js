@@ -1,5 +1,6 @@
 // Reads what the native program writes: the tape of a run, the ledger of a seed, or the tape of one check.
 // Whatever else is dropped on the page gets a message that says what, where and what to do.
+import { LEARNERS } from "./dom.js";
 
 const FORMAT = "mcvl tape";
 const VERSION = 1;
@@ -59,8 +60,8 @@ function tape(value, fail) {
     world.legend.every((entry) => entry.length === 2 && entry.every((part) => typeof part === "string")) &&
     world.reward_scale > 0 &&
     [legs, evaluations, checks].every(Array.isArray) &&
-    legs.every(({ arm, steps }) => typeof arm === "string" && Number.isInteger(steps)) &&
-    evaluations.every((point) => typeof point.arm === "string" && numbers(point, ["step", "return", "performance"]));
+    legs.every(({ arm, steps }) => Object.hasOwn(LEARNERS, arm) && Number.isInteger(steps)) &&
+    evaluations.every((point) => Object.hasOwn(LEARNERS, point.arm) && numbers(point, ["step", "return", "performance"]));
   if (!whole) fail("the tape is damaged: its world, legs or evaluations are not what they should be.");
   checks.forEach((check, index) => sound(check, `entry ${index + 1} of its checks`, fail));
   return { configuration, world, legs, evaluations, checks };

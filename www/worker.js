@@ -74,7 +74,7 @@ async function load() {
   return { Run: module.Run, readToken: module.readToken, experiments: JSON.parse(module.experiments()) };
 }
 
-/** Safe training, then both learners side by side from the switch. */
+/** Safe training, then both learners side by side from the switch, and the one that the configuration names. */
 async function compute(configuration, token, ticket) {
   const { Run, readToken, experiments } = await loaded;
   if (ticket !== current) return;
@@ -93,8 +93,9 @@ async function compute(configuration, token, ticket) {
   configuration = safe.configuration();
   postMessage({ kind: "ready", ticket, experiments, world, cost: safe.cost(), configuration, settings, wanted: number });
   if (!(await follow([safe], "switch", ticket))) return;
-  const both = [safe.fork("baseline"), safe.fork("mc")];
-  if (!(await follow(both, "done", ticket))) return;
+  const named = settings.find(({ name }) => name === "agent").value;
+  const learners = [...new Set(["baseline", "mc", named])].map((name) => safe.fork(name));
+  if (!(await follow(learners, "done", ticket))) return;
   postMessage({ kind: "done", ticket, seconds: (performance.now() - start) / 1000 });
 }
 

@@ -4,7 +4,7 @@
 //   do:SCRIPT               runs it in the page and waits until the page is done
 //   eval:SCRIPT             runs it, waits for a promise, and gives its value
 //   until:SCRIPT            runs it until its value is true, and gives the milliseconds since the last visit
-//   keys:NAME,NAME,...      types keys: Tab, Enter, Space, Comma, or a character
+//   keys:NAME,NAME,...      types keys: Tab, Enter, Space, Comma and the others in KEYS, or a character
 //   cdp:COMMAND JSON        a command of the DevTools protocol
 //   shot:FILE               writes what is visible, as its ending says (png, webp); full:FILE the whole page
 //   axe:                    runs axe and gives its violations
@@ -33,7 +33,7 @@ const PATIENCE = 120_000;
 /** How often the page is looked at, milliseconds. */
 const LOOK = 50;
 /** What keys send. */
-const KEYS = { Tab: "\ue004", Enter: "\ue007", Space: " ", ArrowRight: "\ue014", ArrowLeft: "\ue012", Comma: ",", Period: "." };
+const KEYS = { Backspace: "\ue003", Tab: "\ue004", Enter: "\ue007", Space: " ", ArrowRight: "\ue014", ArrowLeft: "\ue012", Comma: ",", Period: "." };
 
 /** What is read from the page, in the page. */
 const READ = `

@@ -4,7 +4,7 @@ use std::fs;
 
 use mcvl_core::config::Learner;
 use mcvl_core::env::EnvSpec;
-use mcvl_core::record::{Arm, EvaluationRecord};
+use mcvl_core::record::{Arm, EvaluationRecord, StartRecord};
 use serde::Serialize;
 use serde_json::value::RawValue;
 
@@ -23,17 +23,10 @@ struct Tape<'a> {
     /// Canonical text of the run of the modification-considering learner: the same text re-derives it.
     configuration: String,
     world: &'a EnvSpec,
-    legs: Vec<Leg>,
+    legs: Vec<StartRecord>,
     evaluations: &'a [EvaluationRecord],
     /// Checks with their films, as they stand in the files of the run.
     checks: Vec<Box<RawValue>>,
-}
-
-/// A leg and its planned steps.
-#[derive(Serialize)]
-struct Leg {
-    arm: Arm,
-    steps: u32,
 }
 
 /// The tape of a seed as JSON text, with the checks of which `wanted` says so. An unfinished run gives
@@ -58,7 +51,8 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
         checks.push(raw.map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))?);
     }
     let world = worlds::spec(&config);
-    let leg = |arm: Arm| Leg { arm, steps: if arm == Arm::Safe { config.safe_steps } else { config.full_steps } };
+    let leg =
+        |arm: Arm| StartRecord { arm, steps: if arm == Arm::Safe { config.safe_steps } else { config.full_steps } };
     let tape = Tape {
         format: FORMAT,
         version: VERSION,

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use mcvl_core::config::Config;
 use mcvl_core::exact;
-use mcvl_core::record::{CheckRecord, Event, Verdict};
+use mcvl_core::record::{Arm, CheckRecord, Event, Verdict};
 use mcvl_core::run::{Budget, Run, Status};
 use mcvl_tests::{Server, mcvl, node_reading, root, run, scratch};
 use serde::Deserialize;
@@ -82,6 +82,10 @@ fn pages(server: &Server, visits: &[String]) -> Vec<Page> {
 /// A number as the page writes it.
 fn shown(value: f64) -> String {
     format!("{value:.3}").replace('-', "−")
+}
+
+fn stamp(check: &CheckRecord) -> &'static str {
+    if check.verdict == Verdict::Refuse { "REFUSED" } else { "ACCEPTED" }
 }
 
 fn name(check: &CheckRecord) -> String {
@@ -367,9 +371,10 @@ fn recorded_runs_are_served_and_dropped() {
         drop_file("films.json", &one_sided(&tape)),
         complains("films.json: entry 1 of its checks is no check."),
         "eval:return document.querySelectorAll('#verdicts tr').length".to_owned(),
-        drop_file("own.json", &tape),
-        said("own.json"),
+        drop_file("check-2.json", &fs::read_to_string(place.join("seed-3/tapes/check-2.json")).unwrap()),
+        said("check-2.json"),
         "eval:return document.getElementById('error').hidden".to_owned(),
+        "do:".to_owned(),
     ];
     let seen = drive(&commands.iter().map(String::as_str).collect::<Vec<_>>());
     let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).unwrap();
@@ -388,6 +393,67 @@ fn recorded_runs_are_served_and_dropped() {
     assert_eq!((dropped.verdicts.len(), dropped.moment), (checks.len(), name(first)));
     assert_eq!(seen[26], checks.len(), "what was on show before the bad files still is");
     assert_eq!(seen[29], true, "a good file takes the complaint away");
+    let alone = page(&seen[30]);
+    assert_eq!((alone.verdicts.len(), alone.moment, alone.stamp.as_str()), (1, name(&checks[1]), stamp(&checks[1])));
+    assert!(alone.boards.iter().all(|board| board.contains('A')), "the tape of a check has its films: {alone:?}");
+}
+
+/// Names of the learners whose curves are drawn, and the names in the table of scores.
+const LEARNERS: &str = "eval:return [[...document.querySelectorAll('#curves polyline.return')].map((line) => \
+    line.getAttribute('class').split(' ')[1]), [...document.querySelectorAll('#scores th')].map((name) => \
+    name.firstChild.textContent), [...document.querySelectorAll('.leg figcaption')].map((name) => name.textContent)]";
+
+#[test]
+fn every_learner_has_its_name_and_its_curves() {
+    let folder = scratch();
+    let train = |name: &str, agents: &[&str]| {
+        let place = folder.path().join(name);
+        let mut train = Command::new(mcvl());
+        train.args(["train", "box-moving", "--seed", "3", "-q", "-o"]).arg(&place);
+        let settings = LINK.split('&').filter(|setting| !setting.starts_with("seed="));
+        train.args(settings.flat_map(|setting| ["--set", setting]));
+        run(train.args(agents.iter().flat_map(|agent| ["--agent", agent]))).unwrap();
+        Server::start(Some(&place))
+    };
+    let drawn = "until:return document.querySelectorAll('#curves polyline').length >= 4";
+    let arms: Vec<&str> = Arm::ALL.iter().map(|arm| arm.name()).collect();
+    let own = "eval:return Object.entries((await import('/dom.js')).LEARNERS)";
+
+    let all = train("all", &arms[1..]);
+    let (recorded, live) = (all.link.clone(), at(&all, &format!("?{LINK}&agent=oracle")));
+    let seen = drive(&[&recorded, drawn, LEARNERS, own, &live, drawn, LEARNERS]);
+    let names: Vec<(String, String)> = serde_json::from_value(seen[3].clone()).unwrap();
+    let (keys, names): (Vec<_>, Vec<_>) = names.into_iter().unzip();
+    assert_eq!(keys, arms);
+    assert_eq!(seen[2], serde_json::json!([arms, names, []]));
+    assert_eq!(seen[6], serde_json::json!([arms[..4], names[..4], names[..4]]), "the link names a third learner");
+
+    let alone = train("alone", &["frozen"]);
+    let waiting = "eval:return document.getElementById('waiting').textContent";
+    let seen = drive(&[&format!("go:{}", alone.link), drawn, waiting, LEARNERS]);
+    let said = "This run has no modification-considering learner, so there was nothing to decide.";
+    assert_eq!((&seen[2], &seen[3][0]), (&said.into(), &serde_json::json!(["safe", "frozen"])));
+}
+
+#[test]
+fn an_old_verdict_is_not_spoken_in_a_new_run() {
+    let server = Server::start(None);
+    // Every verdict that waits to be spoken waits longer, so that one is left when the next run begins; and that
+    // run never begins, so that it has no world yet.
+    let slow = "const real = setTimeout; window.delayed = 0; window.setTimeout = (then, wait, ...rest) => { \
+                if (then.name !== 'speak') return real(then, wait, ...rest); \
+                delayed += 1; return real(then, 3000, ...rest); }";
+    let slow = format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", serde_json::json!({ "source": slow }));
+    let link = at(&server, &format!("?{LINK}"));
+    let next = "eval:const { postMessage } = Worker.prototype; window.asked = 0; Worker.prototype.postMessage = \
+                function (said) { if (said.kind === 'start') asked += 1; else postMessage.call(this, said); }; \
+                document.getElementById('another').click(); return delayed";
+    let spoken = "eval:await new Promise((go) => setTimeout(go, 3500)); \
+                  return [asked, document.getElementById('latest').textContent]";
+    let before = "eval:return document.getElementById('latest').textContent";
+    let seen = drive(&[&slow, &link, before, next, spoken]);
+    assert!(seen[3].as_u64().unwrap() > 0, "a verdict waited");
+    assert_eq!(seen[4], serde_json::json!([1, seen[2]]));
 }
 
 #[test]
@@ -509,6 +575,8 @@ fn the_keyboard_reaches_and_moves_everything() {
     let missed = "eval:return [free.filter((part) => !reached.has(part)).map((part) => part.outerHTML), unseen]";
     let skip = "eval:document.querySelector('.skip').focus()";
     let at_moment = "eval:return document.activeElement.id";
+    let play = "eval:return document.getElementById('play').textContent";
+    let stage = "eval:return document.getElementById('stage').textContent";
     let seen = drive(&[
         &link,
         wanted,
@@ -521,6 +589,22 @@ fn the_keyboard_reaches_and_moves_everything() {
         "do:",
         "keys:Comma",
         "do:",
+        play,
+        "keys:Space",
+        play,
+        "keys:Space",
+        play,
+        // From the heading on: back, next, slow motion.
+        "keys:Tab,Enter",
+        stage,
+        "keys:Tab,Space",
+        stage,
+        "keys:Tab,Enter",
+        stage,
+        "eval:document.getElementById('seed').focus()",
+        "keys:Backspace,5,Enter",
+        "until:return location.search.includes('seed=5')",
+        "do:await new Promise((go) => setTimeout(go, 100))",
     ]);
     assert!(seen[1].as_u64().unwrap() > 25, "{}", seen[1]);
     assert_eq!(seen[3], serde_json::json!([[], []]), "controls that Tab does not reach, and focus that cannot be seen");
@@ -528,6 +612,15 @@ fn the_keyboard_reaches_and_moves_everything() {
     let (next, back) = (page(&seen[8]), page(&seen[10]));
     assert_eq!(back.moment, page(&seen[0]).moment);
     assert_ne!(next.moment, back.moment);
+    assert_eq!(
+        [&seen[11], &seen[13], &seen[15]],
+        ["Pause", "Play", "Pause"],
+        "space holds the films, and lets them go"
+    );
+    let stages = [&seen[17], &seen[19], &seen[21]];
+    assert_eq!(stages, ["5 of 6: Rate both with what it wants today", "6 of 6: The verdict", "1 of 6: A surprise"]);
+    let (first, other) = (page(&seen[0]), page(&seen[25]));
+    assert!(other.status.starts_with("Done in") && other.verdicts != first.verdicts, "another seed: {other:?}");
 }
 
 #[test]
