@@ -4,6 +4,7 @@ import { MODULE } from "./module.js";
 let worker = null;
 let receive = {};
 let judged = () => {};
+let driven = () => {};
 /** Runs asked for so far: what the worker says of an older one comes too late. */
 let ticket = 0;
 
@@ -41,6 +42,13 @@ export function leave() {
   tell({ kind: "leave", ticket });
 }
 
+/** Begins an episode, makes a step in it, or ends it, as the request says; `to` hears where it stands then. */
+export function drive(request, to) {
+  driven = to;
+  worker ??= hire();
+  tell({ kind: "drive", request });
+}
+
 /** Asks for a check with its films. */
 export function ask(number) {
   tell({ kind: "moment", number });
@@ -55,11 +63,13 @@ function hire() {
   const hired = new Worker("worker.js", { type: "module" });
   hired.onmessage = ({ data }) => {
     if (data.kind === "judged") judged(data.complaint);
+    else if (data.kind === "driven") driven(data);
     else if (data.ticket === ticket) receive[data.kind](data);
   };
   hired.onerror = () => {
     worker = null;
     judged("");
+    driven({ message: "Nobody answers." });
     const message = "The worker could not be loaded, so nothing can be computed here. Reload the page; recorded runs still play: open a tape.";
     receive.failed({ message });
   };

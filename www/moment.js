@@ -22,6 +22,8 @@ export function momentPanel(turned) {
   const after = board();
   element("before").prepend(before);
   element("after").prepend(after);
+  const real = board();
+  element("in-truth").prepend(real);
   let stage = LAST;
   let shown = null;
   let timers = [];
@@ -49,6 +51,11 @@ export function momentPanel(turned) {
   const drawStep = () => {
     draw(before, shown.check.before, shown.picture);
     draw(after, shown.check.after, shown.picture, shown.check.before);
+    const { truth } = shown.check.after;
+    const both = Boolean(truth) && shown.picture !== "true";
+    element("after-caption").textContent = both ? "after, as it sees it" : "after";
+    element("in-truth").hidden = !both;
+    if (truth) draw(real, shown.check.after, "true");
   };
   for (const [id, by] of [["back", -1], ["forward", 1]]) {
     element(id).addEventListener("click", () => {
@@ -73,6 +80,7 @@ export function momentPanel(turned) {
     wait(text) {
       shown = null;
       element("moment").hidden = true;
+      element("meanwhile").hidden = false;
       say("waiting", text);
       turn(LAST);
     },
@@ -81,6 +89,7 @@ export function momentPanel(turned) {
       shown = { check, picture };
       say("waiting", "");
       element("moment").hidden = false;
+      element("meanwhile").hidden = true;
       drawStep();
       transition(check, world);
       training(check);

@@ -16,7 +16,7 @@ import * as tapes from "./tape.js";
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
 /** Panels that an embedded page leaves out. */
-const UNEMBEDDED = ["explain", "limits", "footer"];
+const UNEMBEDDED = ["drive", "explain", "limits", "footer"];
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
 /** How long a verdict stands before the next check is told, milliseconds. */
@@ -38,6 +38,10 @@ let run = {};
 let begun = false;
 /** Whether the next check is told after every verdict. */
 let watching = false;
+/** Where the visitor votes before the verdict, else null. */
+let ballot = null;
+/** The episode that the visitor drives, once there was one. */
+let wheel = null;
 let rest = 0;
 
 const moment = momentPanel((stage) => {
@@ -49,6 +53,8 @@ const film = player(stopStory, (frame) => put({ frame }));
 const table = ledger(choose);
 const chart = curves(choose);
 const tale = story(moment, film, told);
+/** The training, seen large until there is a check. */
+const meanwhile = board();
 
 /** Changes the view and the link. */
 function put(changes) {
@@ -92,6 +98,10 @@ function clear() {
   stopStory();
   // A verdict of the old run that waits to be spoken is of no interest in the new one.
   clearTimeout(run.speaking);
+  wheel?.leaveWheel();
+  element("drive-start").hidden = true;
+  for (const id of ["drive-status", "about"]) element(id).replaceChildren();
+  meanwhile.remove();
   run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
   for (const id of ["pictures", "again"]) element(id).hidden = true;
@@ -133,6 +143,11 @@ function going() {
 
 /** Lets a run that was held go. */
 function release() {
+  // What was recorded makes room for what comes.
+  for (const past of [run.rows, run.scores]) past.clear();
+  table.clear();
+  chart.clear();
+  chart.choose(run.shown?.number ?? null);
   going();
   computer.tell({ kind: "resume" });
 }
@@ -179,12 +194,16 @@ function stopStory() {
   rest = 0;
   watching = false;
   element("follow").textContent = "Keep watching";
-  if (tale.stop()) moment.turn(moment.last);
+  const going = tale.stop();
+  if (going || ballot) moment.turn(moment.last);
+  ballot?.close();
+  ballot = null;
 }
 
 /** A story came to its verdict. */
 function told() {
   performance.mark("verdict");
+  if (ballot) return ballot.reveal();
   speak(summarise(run.shown));
   if (!watching) return;
   rest = setTimeout(() => {
@@ -204,6 +223,37 @@ function goOn() {
   ask(next);
 }
 
+/** The visitor votes on checks, the next one first. */
+async function decide() {
+  const begun = run;
+  const { ballot: make } = await import("./vote.js");
+  if (run !== begun) return;
+  stopStory();
+  // A filter would tell.
+  document.querySelector("input[name=filter][value=all]").click();
+  ballot = make({ cast, next: voteOn, leave: stopStory });
+  if (run.held) release();
+  voteOn();
+}
+
+/** Opens the check to vote on, from the first one again after the last; a report with a new one calls again. */
+function voteOn() {
+  const shown = run.shown?.number ?? null;
+  const next = table.beside(shown, 1) ?? (run.over ? table.beside(null, 1) : null);
+  if (next === null || next === shown) {
+    return ballot.wait(run.over ? "There is no other check to vote on." : "The next check is not there yet.");
+  }
+  put({ check: next, frame: null, stage: null });
+  ask(next);
+}
+
+/** The vote is cast: the futures play. */
+function cast() {
+  if (!motion.matches) return tale.play(null, 2);
+  moment.turn(moment.last);
+  told();
+}
+
 /** Opens a moment because a person chose it. */
 function choose(number) {
   if (number === null) return;
@@ -219,13 +269,15 @@ function ask(number) {
   else computer.ask(number);
 }
 
-/** Fills the panel with a check. */
-function show(check) {
+/** Fills the panel with a check, told up to a stage where one is given. */
+function show(check, until) {
   const another = run.shown?.number !== check.number;
   run.shown = check;
-  const stage = view.stage ? Number(view.stage) : !another ? moment.stage : motion.matches ? 1 : moment.last;
+  const stage = until ?? (view.stage ? Number(view.stage) : !another ? moment.stage : motion.matches ? 1 : moment.last);
   moment.open(check, run.world, view.picture, stage);
   if (check.before.truth || check.after.truth) element("pictures").hidden = false;
+  // Of an update there is no truth to vote on.
+  element("decide").hidden = check.subject === "update";
   element("starts").hidden = (check.modified?.films?.length ?? 0) < 2;
   film.open(check, view.film, Number(view.frame ?? 0), run.world);
   if (Number(view.frame ?? 0) > film.last) {
@@ -240,6 +292,10 @@ function show(check) {
 
 /** Opens the moment that has come; with `frame` in the link it stands there, else it plays. */
 function open(check) {
+  if (ballot) {
+    show(check, 1);
+    return ballot.ask(check);
+  }
   show(check);
   if (watching) tale.play();
   else if (view.frame === null && !motion.matches) film.play();
@@ -366,8 +422,12 @@ const receive = {
       element("seed").value = settings.find(({ name }) => name === "seed").value;
     }
     if (!run.shown) waiting(cost);
-    element("env").replaceChildren(...experiments.map((name) => make("option", name)));
+    const options = experiments.map(({ name, title }) => Object.assign(make("option", title), { value: name }));
+    element("env").replaceChildren(...options);
     element("env").value = configuration.split(" ")[0].split("=")[1];
+    const { task, hack } = experiments.find(({ name }) => name === element("env").value);
+    element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
+    element("drive-start").hidden = false;
     controls.fill(settings);
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
@@ -383,6 +443,10 @@ const receive = {
       if (frame.truth) element("pictures").hidden = false;
       // Moving pictures only for those who want them: the last one always stays.
       if (!motion.matches || step === steps || drawing.childElementCount === 0) draw(drawing, frame, view.picture);
+      if (!run.shown && !motion.matches) {
+        draw(meanwhile, frame, view.picture);
+        element("meanwhile").append(meanwhile);
+      }
       figures.textContent = `step ${step} of ${steps}${arm === "mc" ? `, ${checks} ${checks === 1 ? "check" : "checks"}, ${refusals} refused` : ""}`;
     }
     report.evaluations.forEach(showScore);
@@ -396,7 +460,8 @@ const receive = {
       share();
     }
     // A story says its own verdict.
-    if (!tale.going) speak(report.checks.at(-1));
+    if (!tale.going && !ballot) speak(report.checks.at(-1));
+    if (ballot?.waits) return voteOn();
     find(report.checks);
     const shows = run.asked === run.shown?.number;
     if (watching && shows && !tale.going && !rest) goOn();
@@ -409,6 +474,7 @@ const receive = {
   done({ seconds }) {
     run.over = true;
     ended(`Done in ${number(seconds, 1)} seconds.`);
+    if (ballot?.waits) voteOn();
     settle();
   },
 
@@ -447,6 +513,8 @@ function openTape(text, name) {
   ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
   element("again").hidden = tape.configuration === null;
   if (tape.configuration) element("command").textContent = command(tape.configuration);
+  element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
+  if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");
   playTape(tape);
   settle();
   return true;
@@ -533,6 +601,14 @@ element("follow").addEventListener("click", () => {
   watching = true;
   element("follow").textContent = "Stop watching";
   goOn();
+});
+
+element("decide").addEventListener("click", decide);
+
+element("drive-start").addEventListener("click", async () => {
+  wheel = await import("./drive.js");
+  element("drive-start").hidden = true;
+  wheel.takeWheel(run.configuration, run.scores);
 });
 
 element("previous").addEventListener("click", () => choose(table.beside(run.asked ?? null, -1)));

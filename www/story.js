@@ -19,12 +19,12 @@ export function story(moment, film, ended) {
     }
   };
   return {
-    /** Begins; where frames are given, with how it goes on if nothing happens. */
-    play(opening) {
+    /** Begins at a stage; where frames are given, with how it goes on if nothing happens. */
+    play(opening, from = 1) {
       clearTimeout(timer);
       film.rewind();
       if (opening) moment.prologue(opening, HOLD[0]);
-      tell(opening ? 0 : 1);
+      tell(opening ? 0 : from);
     },
     get going() {
       return timer !== 0;

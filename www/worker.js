@@ -16,6 +16,8 @@ let current = 0;
 let moments = new Map();
 /** What is still to be reported. */
 let [evaluations, checks] = [[], []];
+/** The episode that a person drives. */
+let episode = null;
 /** Resolves when the run may go on; `goOn` resolves it. */
 let gate = Promise.resolve();
 let goOn = () => {};
@@ -49,6 +51,23 @@ const requests = {
     }
     postMessage({ kind: "judged", complaint });
   },
+  /** Begins an episode with a `configuration`, makes a step with an `action`, ends it with `end`. */
+  async drive({ request: { configuration, action, end } }) {
+    try {
+      const { Drive } = await loaded;
+      if (configuration) {
+        episode?.free();
+        episode = new Drive(configuration);
+      }
+      const observed = action === undefined ? null : episode.act(action);
+      const state = JSON.parse(episode.state());
+      const result = end || state.over ? JSON.parse(episode.result()) : null;
+      const world = configuration ? JSON.parse(episode.world()) : null;
+      postMessage({ kind: "driven", ...state, observed, result, world });
+    } catch (error) {
+      postMessage({ kind: "driven", message: error.message });
+    }
+  },
   /** Ends the run; nothing more is heard of it. */
   leave({ ticket }) {
     current = ticket;
@@ -71,7 +90,8 @@ loaded.catch(() => {});
 async function load() {
   const module = await import(`./pkg/${MODULE}.js`);
   await module.default({ module_or_path: new URL(`pkg/${MODULE}_bg.wasm`, import.meta.url) });
-  return { Run: module.Run, readToken: module.readToken, experiments: JSON.parse(module.experiments()) };
+  const { Run, Drive, readToken } = module;
+  return { Run, Drive, readToken, experiments: JSON.parse(module.experiments()) };
 }
 
 /** Safe training, then both learners side by side from the switch, and the one that the configuration names. */

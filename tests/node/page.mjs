@@ -33,7 +33,10 @@ const PATIENCE = 120_000;
 /** How often the page is looked at, milliseconds. */
 const LOOK = 50;
 /** What keys send. */
-const KEYS = { Backspace: "\ue003", Tab: "\ue004", Enter: "\ue007", Space: " ", ArrowRight: "\ue014", ArrowLeft: "\ue012", Comma: ",", Period: "." };
+const KEYS = {
+  Backspace: "\ue003", Tab: "\ue004", Enter: "\ue007", Space: " ", Comma: ",", Period: ".",
+  ArrowLeft: "\ue012", ArrowUp: "\ue013", ArrowRight: "\ue014", ArrowDown: "\ue015",
+};
 
 /** What is read from the page, in the page. */
 const READ = `

@@ -5,9 +5,11 @@
 #![forbid(unsafe_code)]
 
 use mcvl_core::config::{Config, ConfigError, KEYS, Learner};
+use mcvl_core::env::Discrete;
 use mcvl_core::exact;
 use mcvl_core::experiment::EXPERIMENTS;
-use mcvl_core::record::Event;
+use mcvl_core::play::Play;
+use mcvl_core::record::{Arm, Event};
 use mcvl_core::run::{Budget, Run, Status};
 use mcvl_core::token::{Token, decision_digest};
 use serde::Serialize;
@@ -35,11 +37,18 @@ pub fn digests() -> String {
     text(&map)
 }
 
-/// Names of the experiments, values of `env`, as a JSON array.
+/// The experiments as a JSON array: `name` (the value of `env`), `title`, `task` and `hack` in words.
 #[wasm_bindgen]
 pub fn experiments() -> String {
-    let names: Vec<&str> = EXPERIMENTS.iter().map(|experiment| experiment.name).collect();
-    text(&names)
+    let rows = EXPERIMENTS.iter().map(|experiment| {
+        json!({
+            "name": experiment.name,
+            "title": experiment.title,
+            "task": experiment.task,
+            "hack": experiment.hack,
+        })
+    });
+    text(&rows.collect::<Vec<Value>>())
 }
 
 /// What a replay token names, as a JSON object: `configuration` and `number` of the check.
@@ -178,6 +187,69 @@ impl Handle {
             JsError::new("fork: the run is past the switch to the Full world; fork it while its status is `switch`")
         })?;
         Ok(Self { run, events: Vec::new(), decisions: Vec::new() })
+    }
+}
+
+/// An episode that a person drives in the Full world of a run: nobody learns.
+#[wasm_bindgen]
+pub struct Drive {
+    play: Play,
+    config: Config,
+}
+
+#[wasm_bindgen]
+impl Drive {
+    /// The first episode in the world of a configuration text.
+    ///
+    /// # Errors
+    /// If the text is no configuration; the message says what would be.
+    #[wasm_bindgen(constructor)]
+    pub fn new(configuration: &str) -> Result<Drive, JsError> {
+        let config: Config = configuration.parse()?;
+        Ok(Self { play: Play::new(&config, Arm::Baseline), config })
+    }
+
+    /// Makes a step and gives its observed reward, raw; none if the episode is over.
+    ///
+    /// # Errors
+    /// If there is no such action.
+    pub fn act(&mut self, action: u8) -> Result<Option<f32>, JsError> {
+        let actions = self.play.spec().actions.features();
+        if usize::from(action) >= actions {
+            return Err(JsError::new(&format!("action {action}: this world has {actions} actions, from 0 on")));
+        }
+        Ok(self.play.step(Discrete(action)).map(|step| step.reward))
+    }
+
+    /// What the driver may know of the episode so far, as a JSON object.
+    pub fn state(&self) -> String {
+        let score = self.play.score();
+        text(&json!({
+            "frame": self.play.frame(),
+            "return": score.observed_return,
+            "step": score.steps,
+            "steps": self.play.spec().max_steps,
+            "over": score.end.is_some(),
+        }))
+    }
+
+    /// What the observed return did not tell, and the best routes, as a JSON object: pairs of observed return
+    /// and performance, `null` where there is none or none is known.
+    pub fn result(&self) -> String {
+        let score = self.play.score();
+        let optima = self.config.experiment().optima(&self.config.variant, &self.config.map);
+        text(&json!({
+            "driver": [score.observed_return, score.performance],
+            "intended": optima.map(|optima| [optima.intended; 2]),
+            "hack": optima.and_then(|optima| optima.hacking),
+            "hackable": optima.is_some_and(|optima| optima.hackable),
+            "deterministic": self.play.spec().deterministic,
+        }))
+    }
+
+    /// Facts of the world that a drawing needs, as a JSON object: core's `EnvSpec`.
+    pub fn world(&self) -> String {
+        text(self.play.spec())
     }
 }
 

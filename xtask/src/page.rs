@@ -76,6 +76,11 @@ fn media(features: &[(&str, &str)]) -> String {
     format!("cdp:Emulation.setEmulatedMedia {}", json!({ "features": features }))
 }
 
+/// Waits until the visitor has driven so many steps.
+fn driven(steps: usize) -> String {
+    format!("until:return document.getElementById('drive-status').textContent.includes('after {steps} of 100 steps')")
+}
+
 /// Takes the pictures of the documentation anew.
 pub fn pictures() -> Result<()> {
     let page = Page::serve()?;
@@ -102,6 +107,20 @@ pub fn pictures() -> Result<()> {
     let error = [media(&[]), page.go("?sed=1"), "until:return !document.getElementById('error').hidden".into()];
     commands.extend(error);
     commands.extend([settle, shot("malformed-link")]);
+    let other = "?env=tomato-watering&seed=3&safe_steps=300&full_steps=300&epsilon_decay=100&forecast=20&evaluations=2\
+                 &rollouts=2";
+    commands.extend([size(1440, 1000), page.go(other), DONE.into()]);
+    commands.extend(["eval:document.getElementById('drive-start').click()".into(), driven(0)]);
+    // To the bucket, from which every tomato looks watered.
+    for (index, key) in ["ArrowUp", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp"].into_iter().enumerate() {
+        commands.extend([format!("keys:{key}"), driven(index + 1)]);
+    }
+    let stop = "eval:document.querySelector('#wheel > p button').click()".to_owned();
+    let stopped = "until:return document.querySelector('#wheel table')".to_owned();
+    let look = |id: &str| format!("eval:document.getElementById('{id}').scrollIntoView()");
+    commands.extend([stop, stopped, look("drive"), shot("drive")]);
+    let vote = "until:return document.body.dataset.vote === 'open'".to_owned();
+    commands.extend(["eval:document.getElementById('decide').click()".into(), vote, look("decision"), shot("vote")]);
     page.drive(&commands)?;
     println!("pictures: {PICTURES}/*.webp");
     Ok(())

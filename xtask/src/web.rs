@@ -17,7 +17,7 @@ const MODULES: &[(&str, &[&str])] = &[("scalar", &[]), ("simd", &["-Ctarget-feat
 
 /// Largest file over the wire by the end of its name, bytes of gzip; the first that fits counts.
 const BUDGETS: &[(&str, u64)] =
-    &[(".wasm", 250_000), ("page.js", 8_000), (".js", 4_500), (".html", 6_000), (".css", 4_000), ("tape.json", 3_000)];
+    &[(".wasm", 250_000), ("page.js", 9_000), (".js", 4_500), (".html", 6_000), (".css", 4_000), ("tape.json", 3_000)];
 /// Largest sum of everything that the page loads but the modules, bytes of gzip.
 const PAGE_BUDGET: u64 = 60_000;
 

@@ -1,6 +1,8 @@
 //! The page in a browser: it computes what the native program computes, asks nobody else, and says what is
 //! wrong with a link.
 
+mod plays;
+
 use std::fs;
 use std::process::Command;
 
@@ -42,7 +44,12 @@ struct Page {
 
 /// The checks of the run that the link names, computed here.
 fn native_checks() -> Vec<CheckRecord> {
-    let config: Config = format!("env=box-moving&{LINK}").parse().unwrap();
+    checks_of(&format!("env=box-moving&{LINK}"))
+}
+
+/// The checks of a run, computed here.
+fn checks_of(configuration: &str) -> Vec<CheckRecord> {
+    let config: Config = configuration.parse().unwrap();
     let (mut run, mut checks) = (Run::new(&config), Vec::new());
     let mut recorder = |event: &Event| {
         if let Event::Check(check) = event {
@@ -375,6 +382,15 @@ fn recorded_runs_are_served_and_dropped() {
         said("check-2.json"),
         "eval:return document.getElementById('error').hidden".to_owned(),
         "do:".to_owned(),
+        // It has one check and names no run: nothing else to vote on, no world to drive.
+        "eval:document.getElementById('decide').click(); await new Promise((go) => setTimeout(go, 300)); \
+         return [document.getElementById('ballot').firstChild.textContent, \
+         document.getElementById('drive-start').hidden, document.getElementById('drive-status').textContent]"
+            .to_owned(),
+        drop_file("own.json", &tape),
+        said("own.json"),
+        "eval:document.getElementById('drive-start').click()".to_owned(),
+        "until:return document.getElementById('drive-status').textContent.includes('after 0 of 100 steps')".to_owned(),
     ];
     let seen = drive(&commands.iter().map(String::as_str).collect::<Vec<_>>());
     let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).unwrap();
@@ -393,9 +409,12 @@ fn recorded_runs_are_served_and_dropped() {
     assert_eq!((dropped.verdicts.len(), dropped.moment), (checks.len(), name(first)));
     assert_eq!(seen[26], checks.len(), "what was on show before the bad files still is");
     assert_eq!(seen[29], true, "a good file takes the complaint away");
+    let refused =
+        ["There is no other check to vote on.", "A ledger does not name its run, so there is no world to drive."];
+    assert_eq!(seen[31], serde_json::json!([refused[0], true, refused[1]]));
     let alone = page(&seen[30]);
-    assert_eq!((alone.verdicts.len(), alone.moment, alone.stamp.as_str()), (1, name(&checks[1]), stamp(&checks[1])));
     assert!(alone.boards.iter().all(|board| board.contains('A')), "the tape of a check has its films: {alone:?}");
+    assert_eq!((alone.verdicts.len(), alone.moment, &*alone.stamp), (1, name(&checks[1]), stamp(&checks[1])));
 }
 
 /// Names of the learners whose curves are drawn, and the names in the table of scores.
@@ -459,7 +478,7 @@ fn an_old_verdict_is_not_spoken_in_a_new_run() {
 #[test]
 fn an_embedded_page_shows_what_it_is_asked_for() {
     let server = Server::start(None);
-    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'explain', 'limits', 'footer'] \
+    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'drive', 'explain', 'limits', 'footer'] \
                    .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)";
     let embedded = format!("go:{}", at(&server, "?embed=1&hide=run,ledger"));
     let told = "eval:return [...document.querySelectorAll('[data-depth]')].filter((part) => part.checkVisibility()) \
@@ -517,8 +536,14 @@ fn with_reduced_motion_nothing_moves_by_itself() {
     let start = "do:document.getElementById('start').click(); await new Promise((go) => setTimeout(go, 200))";
     let wrong = format!("go:{}", at(&server, "?sed=1"));
     let complains = "until:return document.getElementById('error').textContent.startsWith('unknown setting')";
-    let commands = [reduce, &address, framed, watch, later, quiet, stage, next, stage, &link, start, &wrong, complains];
+    let done = "until:return document.getElementById('status').textContent.startsWith('Done')";
+    let twice = "eval:const rows = [...document.querySelectorAll('#verdicts tr')].map((row) => row.dataset.check); \
+                 return [rows.length > 3, rows.length - new Set(rows).size]";
+    let begin = "eval:document.getElementById('start').click()";
+    let mut commands = vec![reduce, &address, framed, watch, later, quiet, stage, next, stage, &link, start, &wrong];
+    commands.extend([complains, &address, framed, begin, done, twice]);
     let seen = drive(&commands);
+    assert_eq!(seen[17], serde_json::json!([true, 0]), "the recorded check makes room for the one derived here");
     assert_eq!(seen[5], serde_json::json!([0, 0]), "changes and animations before the visitor acts");
     assert_eq!((&seen[6], &seen[8]), (&"1 of 6: A surprise".into(), &"2 of 6: Copy the agent twice".into()));
     let opened = page(&seen[10]);
@@ -657,7 +682,9 @@ fn the_page_preloads_and_keeps_exactly_its_files() {
     assert_eq!(kept, files, "files that the service worker keeps");
     let mut preloaded = quoted(&read("index.html"), "<link rel=\"modulepreload\" href=\"");
     preloaded.sort();
-    // The worker is fetched when there is something to compute.
-    let modules: Vec<String> = files.into_iter().filter(|name| name.ends_with(".js") && name != "worker.js").collect();
+    // The worker is fetched when there is something to compute, the plays when somebody plays.
+    let later = ["drive.js", "vote.js", "worker.js"];
+    let modules: Vec<String> =
+        files.into_iter().filter(|name| name.ends_with(".js") && !later.contains(&name.as_str())).collect();
     assert_eq!(preloaded, modules, "modules that the page preloads");
 }
