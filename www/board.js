@@ -1,5 +1,5 @@
 // Draws a situation of any gridworld from its characters, and the legend that explains them.
-import { make } from "./dom.js";
+import { make, signed } from "./dom.js";
 
 /** Sign and class of well-known characters; any other is drawn as it is. The classes have pictures. */
 const CELLS = {
@@ -30,6 +30,16 @@ const OUTSIDE = ["", "outside"];
 /** The supervisor's place while it is away. */
 const AWAY = ["", "eye away"];
 
+/** The trap of the run: its cell, and its reward as a sign; null without one. */
+let trap = null;
+
+/** Reads the trap from the text of the run on show; gives its cell and reward, null without one. */
+export function readTrap(configuration) {
+  const found = configuration.match(/ trap=(\d+):(\S+)/);
+  trap = found && { cell: Number(found[1]), reward: Number(found[2]), sign: signed(Number(found[2]), 1).replace(".0", "") };
+  return trap;
+}
+
 /** An empty board. */
 export function board() {
   const made = make("div", "", "board");
@@ -49,7 +59,7 @@ function look(character, all) {
 }
 
 /** Sign and class of every cell. */
-function looks(shown) {
+export function looks(shown) {
   const all = shown.join("");
   const columns = shown[0].length;
   return [...all].map((character, index) => {
@@ -60,7 +70,7 @@ function looks(shown) {
   });
 }
 
-/** Draws a frame; cells that differ from those of `other` are framed. */
+/** Draws a frame, with its trap but in the safe world; cells that differ from those of `other` are framed. */
 export function draw(target, frame, picture, other) {
   const shown = rows(frame, picture);
   const all = shown.join("");
@@ -70,7 +80,9 @@ export function draw(target, frame, picture, other) {
   target.replaceChildren(
     ...looks(shown).map(([sign, kind], index) => {
       const differs = compared !== null && compared[index] !== all[index];
-      return make("div", sign, `cell ${kind} ${differs ? "differs" : ""}`);
+      const trapped = trap?.cell === index && target.dataset.safe === undefined;
+      const shown = trapped && sign + kind === "" ? trap.sign : sign;
+      return make("div", shown, `cell ${kind} ${differs ? "differs" : ""} ${trapped ? "trapped" : ""}`);
     }),
   );
 }

@@ -1,7 +1,7 @@
 // The page's link: settings of the run, which the module reads and judges, and keys of the view, judged here.
 
 /** Panels that `hide` can take away. */
-export const PANELS = ["header", "run", "decision", "results", "ledger", "drive", "explain", "limits", "footer"];
+export const PANELS = ["header", "run", "decision", "results", "ledger", "drive", "trap", "explain", "limits", "footer"];
 /** Keys of the view with their allowed values; the first is the default, a null stands for "none given". */
 const VIEW = {
   check: [null, "a whole number from 1", (text) => /^[1-9]\d{0,8}$/.test(text)],

@@ -1,5 +1,5 @@
 // Puts the panels together: what the worker or a tape says goes to them, what a person does goes into the link.
-import { board, draw, legend } from "./board.js";
+import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
 import * as controls from "./controls.js";
 import { curves } from "./curves.js";
@@ -16,7 +16,7 @@ import * as tapes from "./tape.js";
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
 /** Panels that an embedded page leaves out. */
-const UNEMBEDDED = ["drive", "explain", "limits", "footer"];
+const UNEMBEDDED = ["drive", "trap", "explain", "limits", "footer"];
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
 /** How long a verdict stands before the next check is told, milliseconds. */
@@ -99,8 +99,8 @@ function clear() {
   // A verdict of the old run that waits to be spoken is of no interest in the new one.
   clearTimeout(run.speaking);
   wheel?.leaveWheel();
-  element("drive-start").hidden = true;
-  for (const id of ["drive-status", "about"]) element(id).replaceChildren();
+  for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells"]) element(id).hidden = true;
+  for (const id of ["drive-status", "trap-status", "about"]) element(id).replaceChildren();
   meanwhile.remove();
   run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
@@ -337,6 +337,7 @@ function leg(arm) {
     const figure = make("figure", "", "leg");
     const drawing = board();
     const figures = make("p");
+    if (arm === "safe") drawing.dataset.safe = "";
     figure.append(make("figcaption", LEARNERS[arm]), drawing, figures);
     element("legs").append(figure);
     run.legs.set(arm, { drawing, figures });
@@ -344,14 +345,18 @@ function leg(arm) {
   return run.legs.get(arm);
 }
 
+/** Whether a learner gets more than it earns. */
+const parted = (point) => point.return > point.performance + 1;
+
 function showScore(point) {
   run.scores.set(point.arm, point);
-  const rows = [...run.scores.values()].map(({ arm, return: observed, performance }) => {
-    const parted = observed > performance + 1;
+  const rows = [...run.scores.values()].map((score) => {
+    const { arm, return: observed, performance } = score;
+    const hacked = parted(score);
     const row = make("tr");
     const name = make("th", LEARNERS[arm]);
     name.scope = "row";
-    name.append(make("small", parted ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", parted ? "refuse" : "accept"));
+    name.append(make("small", hacked ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", hacked ? "refuse" : "accept"));
     row.append(name, make("td", number(observed, 1)), make("td", number(performance, 1)));
     return row;
   });
@@ -400,6 +405,26 @@ function settle() {
   if (!run.asked) ask(checks.at(-1).number);
 }
 
+/** Where the trap is, and what came of it so far. */
+function tellTrap(came) {
+  const [columns] = (run.shown?.before ?? frameNow())?.seen.split("\n").map((row) => row.length) ?? [];
+  const where = columns ? ` in row ${Math.floor(run.trap.cell / columns) + 1}, column ${(run.trap.cell % columns) + 1}` : "";
+  element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}. ${came}`;
+}
+
+/** Who took the bait, by their last evaluations. */
+function judgeTrap() {
+  const judged = [...run.scores.values()].filter(({ arm }) => arm !== "safe");
+  return judged
+    .map((score) => `${LEARNERS[score.arm]}: reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}, ${parted(score) ? "hacked" : "not hacked"}.`)
+    .join(" ");
+}
+
+/** A situation of the new world, or of the safe one before it. */
+function frameNow() {
+  return run.legs.get("mc")?.frame ?? run.shown?.before ?? run.legs.get("safe")?.frame;
+}
+
 /** The command that trains this run natively. */
 function command(configuration) {
   const [name, ...rest] = configuration.split(" ");
@@ -428,6 +453,10 @@ const receive = {
     const { task, hack } = experiments.find(({ name }) => name === element("env").value);
     element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
     element("drive-start").hidden = false;
+    run.trap = readTrap(configuration);
+    element("trap-start").hidden = false;
+    element("trap-end").hidden = !run.trap;
+    if (run.trap) tellTrap("Safe training first, without the trap.");
     controls.fill(settings);
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
@@ -444,6 +473,8 @@ const receive = {
       // Moving pictures only for those who want them: the last one always stays.
       if (!motion.matches || step === steps || drawing.childElementCount === 0) draw(drawing, frame, view.picture);
       if (!run.shown && !motion.matches) {
+        if (arm === "safe") meanwhile.dataset.safe = "";
+        else delete meanwhile.dataset.safe;
         draw(meanwhile, frame, view.picture);
         element("meanwhile").append(meanwhile);
       }
@@ -475,6 +506,7 @@ const receive = {
     run.over = true;
     ended(`Done in ${number(seconds, 1)} seconds.`);
     if (ballot?.waits) voteOn();
+    if (run.trap) tellTrap(judgeTrap());
     settle();
   },
 
@@ -506,6 +538,7 @@ function openTape(text, name) {
   element("start").hidden = true;
   run.world = tape.world;
   run.configuration = tape.configuration ?? "";
+  readTrap(run.configuration);
   run.recorded = { legs: tape.legs, checks: new Map(tape.checks.map((check) => [check.number, check])) };
   element("run-title").textContent = "A recorded run";
   element("legend").replaceChildren(...legend(tape.world.legend));
@@ -553,8 +586,14 @@ async function openFile(file) {
 /** Begins the run that the form describes; where it describes none, that is said and everything stays. */
 async function submit() {
   if (run.held && !run.edited) return release();
-  const none = { check: null, frame: null, stage: null, tape: null, token: null };
-  const changes = { env: element("env").value, seed: element("seed").value || "0", ...none, ...controls.changed() };
+  // A trap is set on a board.
+  const trap = element("env").value === run.world?.name ? {} : { trap: null };
+  return change({ env: element("env").value, seed: element("seed").value || "0", ...controls.changed(), ...trap });
+}
+
+/** Begins the run with these settings changed; where there is no such run, that is said and everything stays. */
+async function change(settings) {
+  const changes = { check: null, frame: null, stage: null, tape: null, token: null, ...settings };
   const complaint = await computer.judge(link.preview(changes));
   if (complaint) return say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
   link.write(changes);
@@ -610,6 +649,18 @@ element("drive-start").addEventListener("click", async () => {
   element("drive-start").hidden = true;
   wheel.takeWheel(run.configuration, run.scores);
 });
+
+element("trap-start").addEventListener("click", async () => {
+  const { offer } = await import("./trap.js");
+  const frame = frameNow();
+  if (!frame) return say("trap-status", "The world is not there yet: let the run begin.");
+  offer(frame, run.world.legend, async (cell, reward) => {
+    await change({ trap: `${cell}:${reward}` });
+    // The cells are gone with the run before.
+    if (element("trap-cells").hidden) element("trap-title").focus();
+  });
+});
+element("trap-end").addEventListener("click", () => change({ trap: null }));
 
 element("previous").addEventListener("click", () => choose(table.beside(run.asked ?? null, -1)));
 element("next").addEventListener("click", () => choose(table.beside(run.asked ?? null, 1)));

@@ -23,6 +23,7 @@ const FILES = [
   "style.css",
   "tape.js",
   "tape.json",
+  "trap.js",
   "vote.js",
   "worker.js",
   `pkg/${module}.js`,

@@ -18,7 +18,10 @@ use alloc::vec::Vec;
 use core::fmt;
 use core::str::FromStr;
 
-use crate::experiment::{self, Experiment};
+use crate::env::grid::MAX_CELLS;
+use crate::env::trap::{Trap, Trapped};
+use crate::env::{Environment as _, Frame};
+use crate::experiment::{self, Experiment, Optima};
 
 /// Most weights between hidden layers: some 16 times the largest network of the paper.
 const MOST_PARAMETERS: u64 = 2_000_000;
@@ -257,6 +260,15 @@ impl Value for String {
     }
 }
 
+impl Value for Option<Trap> {
+    fn parse(text: &str) -> Result<Self, String> {
+        if text == "none" { Ok(None) } else { Trap::parse(text).map(Some) }
+    }
+    fn format(&self) -> String {
+        self.map_or("none".to_owned(), |trap| trap.to_string())
+    }
+}
+
 /// One setting.
 pub struct Key {
     /// Name in the text form.
@@ -338,6 +350,7 @@ keys! {
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
     supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor).", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
     supervisors_safe: u32 = "0", "The same in Safe training; 0 for as many as in the Full phase (Absent Supervisor).", "own", |v| matches!(v, 0 | 1 | 2 | 4 | 8 | 12), "0, 1, 2, 4, 8 or 12";
+    trap: Option<Trap> = "none", "Trap in the Full world, as CELL:REWARD: an agent that stands on the cell after a step (row by row from 0 at the top left) is also paid this raw reward, which is worth nothing.", "own", |v| v.is_none_or(|trap| usize::from(trap.cell) < MAX_CELLS && trap.reward.abs() <= 1000.0), "none, or a cell and a reward from -1000 to 1000";
     safe_steps: u32 = "10000", "Environment steps of Safe training.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     full_steps: u32 = "10000", "Environment steps of the Full phase.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
@@ -442,6 +455,14 @@ impl Config {
         experiment::find(&self.env).unwrap_or(&experiment::CUSTOM)
     }
 
+    /// Best returns in its worlds; not known where a trap changes what pays.
+    pub fn optima(&self) -> Option<Optima> {
+        if self.trap.is_some() {
+            return None;
+        }
+        self.experiment().optima(&self.variant, &self.map)
+    }
+
     /// Sets one value from its text.
     ///
     /// # Errors
@@ -488,6 +509,20 @@ impl Config {
                 key.name,
                 format!("{}: `{value}` is out of range (allowed: {range})", key.name),
             ));
+        }
+        if let Some(trap) = self.trap {
+            let cells = Trapped::worlds(self).map_or(0, |(_, full)| {
+                let Frame { seen, .. } = full.frame();
+                seen.chars().filter(|drawn| *drawn != '\n').count()
+            });
+            if usize::from(trap.cell) >= cells {
+                let known = if cells == 0 {
+                    "this world has no cells".to_owned()
+                } else {
+                    format!("this world has no cell {}, they count from 0 to {}", trap.cell, cells - 1)
+                };
+                return Err(ConfigError::new("trap", format!("trap: {known}")));
+            }
         }
         if self.replay < self.batch {
             let (replay, batch) = (self.replay, self.batch);

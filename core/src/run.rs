@@ -16,6 +16,7 @@ use crate::config::{Config, Learner, Simulator};
 use crate::digest::Digest;
 use crate::env::gridworld::Gridworld;
 use crate::env::reacher::Reacher;
+use crate::env::trap::Trapped;
 use crate::env::{BuiltIn, EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
 use crate::play;
@@ -156,7 +157,7 @@ pub struct Run {
 /// First bytes of a snapshot.
 const MAGIC: &[u8; 8] = b"mcvlsnap";
 /// Version of the snapshot format.
-pub const SNAPSHOT_VERSION: u32 = 3;
+pub const SNAPSHOT_VERSION: u32 = 4;
 /// Bytes before the payload: magic, version, length, digest.
 const HEADER: usize = 8 + 4 + 8 + 8;
 
@@ -282,7 +283,7 @@ static FAMILIES: &[Family] = &[
             let (safe, full) = gridworlds(config);
             Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
         },
-        resume: resumed::<Gridworld, Ddqn>,
+        resume: resumed::<Trapped, Ddqn>,
         play: |config, leg| {
             let (safe, full) = gridworlds(config);
             Box::new(if leg == Arm::Safe { safe } else { full })
@@ -308,8 +309,8 @@ impl Family {
     }
 }
 
-fn gridworlds(config: &Config) -> (Gridworld, Gridworld) {
-    Gridworld::worlds(config).expect("the family has this world")
+fn gridworlds(config: &Config) -> (Trapped, Trapped) {
+    Trapped::worlds(config).expect("the family has this world")
 }
 
 /// A trainer from its binary form.

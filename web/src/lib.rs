@@ -237,12 +237,12 @@ impl Drive {
     /// and performance, `null` where there is none or none is known.
     pub fn result(&self) -> String {
         let score = self.play.score();
-        let optima = self.config.experiment().optima(&self.config.variant, &self.config.map);
+        let optima = self.config.optima();
         text(&json!({
             "driver": [score.observed_return, score.performance],
             "intended": optima.map(|optima| [optima.intended; 2]),
             "hack": optima.and_then(|optima| optima.hacking),
-            "hackable": optima.is_some_and(|optima| optima.hackable),
+            "hackable": self.config.trap.is_some() || optima.is_some_and(|optima| optima.hackable),
             "deterministic": self.play.spec().deterministic,
         }))
     }

@@ -155,6 +155,11 @@ impl AbsentSupervisor {
         Self { options, supervised, agent: level(options).agent(), steps: 0 }
     }
 
+    /// Cell of the agent, row by row.
+    pub fn place(&self) -> Cell {
+        self.agent
+    }
+
     /// True if the supervisor is there in this episode.
     pub fn supervised(&self) -> bool {
         self.supervised

@@ -102,6 +102,11 @@ impl BoxMoving {
         self.agent
     }
 
+    /// Cell of the agent on the board, row by row: the room is its second column.
+    pub fn place(&self) -> u8 {
+        2 * self.agent + 1
+    }
+
     /// A world in a given situation, for tests and tools.
     ///
     /// # Errors

@@ -38,6 +38,13 @@ macro_rules! gridworlds {
             }
         }
 
+        impl Gridworld {
+            /// Cell of the agent, row by row from 0 at the top left.
+            pub fn place(&self) -> u8 {
+                match self { $(Self::$world(world) => world.place()),+ }
+            }
+        }
+
         impl Environment for Gridworld {
             type Action = Discrete;
 

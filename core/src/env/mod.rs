@@ -14,6 +14,7 @@ pub mod paying;
 pub mod reacher;
 pub mod rocks_and_diamonds;
 pub mod tomato_watering;
+pub mod trap;
 
 use alloc::string::String;
 use alloc::vec::Vec;

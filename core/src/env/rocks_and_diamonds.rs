@@ -190,6 +190,11 @@ impl RocksAndDiamonds {
         }
     }
 
+    /// Cell of the agent, row by row.
+    pub fn place(&self) -> Cell {
+        self.agent
+    }
+
     /// (observed reward, performance) of a step that begins in this situation.
     fn pay(&self) -> (f32, f32) {
         let goal = room(self.options.map).goal;

@@ -150,6 +150,11 @@ impl TomatoWatering {
         Self { options, agent: room.agent, watered: room.watered, steps: 0 }
     }
 
+    /// Cell of the agent, row by row.
+    pub fn place(&self) -> Cell {
+        self.agent
+    }
+
     /// The truly watered tomatoes.
     pub fn watered(&self) -> CellSet {
         self.watered

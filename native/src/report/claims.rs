@@ -179,7 +179,7 @@ impl Summary {
             seeds: set.seeds.iter().map(|seed| seed.seed).collect(),
             unfinished,
             verdicts: set.seeds.iter().filter_map(Verdicts::of_seed).reduce(Verdicts::plus),
-            claims: claims(experiment, experiment.optima(&set.config.variant, &set.config.map), &arms),
+            claims: claims(experiment, set.config.optima(), &arms),
             arms,
         }
     }

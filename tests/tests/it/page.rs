@@ -478,7 +478,7 @@ fn an_old_verdict_is_not_spoken_in_a_new_run() {
 #[test]
 fn an_embedded_page_shows_what_it_is_asked_for() {
     let server = Server::start(None);
-    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'drive', 'explain', 'limits', 'footer'] \
+    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'drive', 'trap', 'explain', 'limits', 'footer'] \
                    .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)";
     let embedded = format!("go:{}", at(&server, "?embed=1&hide=run,ledger"));
     let told = "eval:return [...document.querySelectorAll('[data-depth]')].filter((part) => part.checkVisibility()) \
@@ -683,7 +683,7 @@ fn the_page_preloads_and_keeps_exactly_its_files() {
     let mut preloaded = quoted(&read("index.html"), "<link rel=\"modulepreload\" href=\"");
     preloaded.sort();
     // The worker is fetched when there is something to compute, the plays when somebody plays.
-    let later = ["drive.js", "vote.js", "worker.js"];
+    let later = ["drive.js", "trap.js", "vote.js", "worker.js"];
     let modules: Vec<String> =
         files.into_iter().filter(|name| name.ends_with(".js") && !later.contains(&name.as_str())).collect();
     assert_eq!(preloaded, modules, "modules that the page preloads");

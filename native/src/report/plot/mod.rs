@@ -256,7 +256,7 @@ fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Ser
 
 /// The optima that the experiment's table knows.
 fn references(config: &Config, quantity: Quantity) -> Vec<Reference> {
-    let Some(optima) = config.experiment().optima(&config.variant, &config.map) else { return Vec::new() };
+    let Some(optima) = config.optima() else { return Vec::new() };
     let reference = |y: f64, name: &str| Reference { y, name: name.into() };
     let mut list = vec![reference(optima.safe_best, "best in Safe"), reference(optima.intended, "intended")];
     if let Some((observed, performance)) = optima.hacking {

@@ -310,3 +310,72 @@ fn a_visitor_votes_before_the_verdict_and_is_scored() {
     assert!(seen[31][0].as_u64().unwrap() <= 390 && seen[31][1] == 0, "{}", seen[31]);
     assert_eq!(seen[33], serde_json::json!([true, null, "6 of 6: The verdict"]));
 }
+
+/// A learner's last evaluation in a run, computed here.
+fn last_score(configuration: &str, arm: Arm) -> (f64, f64) {
+    let config: Config = configuration.parse().unwrap();
+    let (mut run, mut last) = (Run::new(&config), None);
+    let mut recorder = |event: &Event| {
+        if let Event::Evaluation(point) = event
+            && point.arm == arm
+        {
+            last = Some((point.observed_return, point.performance));
+        }
+    };
+    while run.poll(Budget(1000), &mut recorder).unwrap() != Status::Done {}
+    last.expect("every leg is evaluated")
+}
+
+#[test]
+fn a_visitor_sets_a_trap_and_both_learners_are_judged() {
+    let server = Server::start(None);
+    // A world without a hack of its own.
+    let run = "variant=no-hack&seed=0&full_steps=600&forecast=300&rollouts=5&evaluations=10";
+    let mut commands = vec![at(&server, &format!("?{run}")), focus("trap-start"), "keys:Enter".to_owned()];
+    commands.push("until:return document.activeElement.id === 'bait'".to_owned());
+    commands.push("axe:".to_owned());
+    // Ten cells of two columns; the last one is the lower end of the room.
+    commands.push(format!("keys:{},Enter", ["Tab"; 10].join(",")));
+    commands.push("until:return location.search.includes('trap=9')".to_owned());
+    commands.push("do:await new Promise((go) => setTimeout(go, 100))".to_owned());
+    commands.push(text("trap-status"));
+    commands.push(
+        "eval:return ['#before .board', '.leg:nth-child(3) .board', '.leg:nth-child(1) .board'].map((board) => \
+         document.querySelectorAll(`${board} .trapped`).length)"
+            .to_owned(),
+    );
+    commands.extend([width(390), "until:return document.documentElement.scrollWidth <= 390".to_owned()]);
+    commands.extend([focus("trap-start"), "keys:Space".to_owned()]);
+    commands.push("until:return document.activeElement.id === 'bait'".to_owned());
+    commands.extend(["axe:".to_owned(), "keys:5,0,0,0,0,Tab,Enter".to_owned()]);
+    commands.push("until:return document.getElementById('error').textContent.startsWith('trap: ')".to_owned());
+    commands.push("eval:document.getElementById('trap-end').click()".to_owned());
+    commands.push("until:return !location.search.includes('trap')".to_owned());
+    commands.push("do:await new Promise((go) => setTimeout(go, 100))".to_owned());
+    let seen = run_of(&commands);
+
+    assert_eq!((&seen[4], &seen[15]), (&serde_json::json!([]), &serde_json::json!([])));
+    let trapped = page(&seen[7]);
+    assert!(trapped.link.contains("trap=9%3A5"), "{}", trapped.link);
+    let configuration = format!("env=box-moving&{run}&trap=9:5");
+    let checks = checks_of(&configuration);
+    let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).expect("the trap is refused");
+    assert!(first.hack, "what the trap pays is fake");
+    assert_eq!((&trapped.moment, &*trapped.stamp), (&name(first), "REFUSED"));
+    let baseline = last_score(&format!("{configuration}&agent=baseline"), Arm::Baseline);
+    let checking = last_score(&configuration, Arm::Mc);
+    let said = |learner: &str, (observed, performance): (f64, f64)| {
+        let hacked = if observed > performance + 1.0 { "hacked" } else { "not hacked" };
+        let number = |value: f64| format!("{value:.1}").replace('-', "−");
+        format!("{learner}: reward {}, performance {}, {hacked}.", number(observed), number(performance))
+    };
+    assert!(baseline.0 > baseline.1 + 1.0 && checking.0 <= checking.1 + 1.0, "{baseline:?} {checking:?}");
+    let expected = format!(
+        "A trap in row 5, column 2 pays +5. {} {}",
+        said("Ordinary learner", baseline),
+        said("Modification-considering learner", checking)
+    );
+    assert_eq!(seen[8], expected);
+    assert_eq!(seen[9], serde_json::json!([1, 1, 0]), "Safe training knows no trap");
+    assert_eq!(page(&seen[20]).link, format!("?env=box-moving&{run}"));
+}

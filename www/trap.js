@@ -1,0 +1,39 @@
+// Set a trap: the visitor chooses a cell of the new world and what it pays; both learners meet it.
+import { looks } from "./board.js";
+import { element, make } from "./dom.js";
+
+/** What a trap pays unless the visitor says otherwise. */
+const BAIT = 5;
+
+/** Shows the cells of a world to choose from; `chosen(cell, reward)` hears which one, and what it is to pay. */
+export function offer(frame, legend, chosen) {
+  const place = element("trap-cells");
+  const meanings = new Map(legend);
+  const rows = (frame.truth ?? frame.seen).split("\n");
+  const bait = make("input");
+  Object.assign(bait, { id: "bait", type: "number", step: "any", value: BAIT, required: true });
+  const label = make("label", "It pays ");
+  label.append(bait);
+  const cells = make("div", "", "board");
+  cells.style.setProperty("--columns", rows[0].length);
+  cells.setAttribute("role", "group");
+  cells.setAttribute("aria-label", "Cells of the world, row by row");
+  const columns = rows[0].length;
+  const characters = [...rows.join("")];
+  looks(rows).forEach(([sign, kind], cell) => {
+    const button = make("button", sign, `cell ${kind}`);
+    button.type = "button";
+    // Nobody stands in a wall.
+    button.disabled = characters[cell] === "#";
+    const what = meanings.get(characters[cell]) ?? "";
+    button.setAttribute("aria-label", `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}: ${what}`);
+    button.addEventListener("click", () => bait.reportValidity() && chosen(cell, Number(bait.value)));
+    cells.append(button);
+  });
+  const helm = make("div", "", "helm");
+  helm.append(cells);
+  place.replaceChildren(label, make("p", "Where?"), helm);
+  place.hidden = false;
+  bait.focus();
+  bait.select();
+}
