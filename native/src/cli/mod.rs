@@ -10,6 +10,7 @@ mod progress;
 mod replay;
 mod report;
 mod serve;
+mod session;
 mod settings;
 mod terminal;
 mod train;

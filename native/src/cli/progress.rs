@@ -6,8 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use mcvl::runs::{Plan, SeedView};
-use mcvl_core::config::{Learner, Scheme};
+use mcvl::runs::{Plan, SeedView, expected_forecasts};
 use mcvl_core::record::Arm;
 
 use super::terminal::{Terminal, say};
@@ -29,9 +28,6 @@ pub enum Style {
 const FIRST_LINE: Duration = Duration::from_secs(3);
 const NEXT_LINE: Duration = Duration::from_secs(30);
 
-/// Share of steps that is expected to be checked before a run has shown its own; Box Moving checks 27 to
-/// 48 of 1000 steps (specification, section 8).
-const EXPECTED_CHECKS: f64 = 0.04;
 /// Steps after which a run's own share is believed.
 const ENOUGH_STEPS: f64 = 100.0;
 
@@ -172,21 +168,7 @@ fn figures(view: &SeedView) -> String {
 
 /// Work done and work in total, in gradient updates: one per step, and what forecasts take.
 fn work(plan: &Plan, view: &SeedView) -> (f64, f64) {
-    let config = &plan.config;
-    let full = f64::from(config.full_steps);
-    let checked = match config.scheme {
-        Scheme::All => 1.0,
-        Scheme::ByReward | Scheme::Punish | Scheme::StorePredicted => EXPECTED_CHECKS,
-        // These forecast nothing.
-        Scheme::Discard | Scheme::EachStep | Scheme::None => 0.0,
-    };
-    // Half of the unmodified futures are expected to be reused, and none of those that practise.
-    let prior = match config.practice {
-        true => checked * 2.0 * (f64::from(config.forecast) + f64::from(config.practice_reward_updates)),
-        false => checked * 1.5 * f64::from(config.forecast),
-    };
-    let per_step = |learner: Learner, shown: f64| 1.0 + if learner == Learner::Mc { shown } else { 0.0 };
-    let mut shown = prior;
+    let mut shown = expected_forecasts(&plan.config);
     let mut current = 0.0;
     if let Some(progress) = &view.progress {
         let step = f64::from(progress.step);
@@ -195,8 +177,7 @@ fn work(plan: &Plan, view: &SeedView) -> (f64, f64) {
         }
         current = step + progress.forecast_updates as f64;
     }
-    let legs = std::iter::once(f64::from(config.safe_steps))
-        .chain(plan.learners.iter().map(|learner| full * per_step(*learner, shown)));
+    let legs = plan.expected_updates(shown);
     let total: f64 = legs.clone().sum::<f64>().max(1.0);
     if view.over {
         return (total, total);
@@ -219,7 +200,7 @@ fn eta(elapsed: Duration, done: f64, left: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mcvl_core::config::{Config, Preset};
+    use mcvl_core::config::{Config, Learner, Preset};
 
     fn view(finished: usize, arm: Arm, step: u32, forecast_updates: u64) -> SeedView {
         let progress = mcvl_core::run::Progress {
@@ -240,7 +221,7 @@ mod tests {
         let config = Config::new("box-moving", Preset::Paper).unwrap();
         let learners = vec![Learner::Baseline, Learner::Mc];
         let plan = Plan { config, seeds: vec![0], learners, settings: Vec::new() };
-        // 1000 steps three times, and 40 checks of 750 updates expected.
+        // 1000 steps three times, and 30 checks of 1000 updates expected.
         assert_eq!(work(&plan, &view(0, Arm::Safe, 500, 0)), (500.0, 33_000.0));
         assert_eq!(work(&plan, &view(1, Arm::Baseline, 10, 0)), (1_010.0, 33_000.0));
         // After enough steps its own rate counts: 20 updates per step.

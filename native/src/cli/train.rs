@@ -1,26 +1,22 @@
 //! `mcvl train`: from settings to a finished run directory, or one that can be continued.
 
-use std::fs;
 use std::io::Write as _;
 use std::path::PathBuf;
-use std::process;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::Summary;
-use mcvl::runs::{
-    self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
-};
+use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts};
 use mcvl::worlds;
-use mcvl_core::config::{Learner, Preset};
+use mcvl_core::config::{Config, Learner, Preset, Scheme};
 use mcvl_core::record::{Arm, Verdict};
 use mcvl_core::run::{Budget, Status};
 
-use super::progress::{Progress, Style};
+use super::progress::Style;
+use super::session::{Ended, Manner, Session, stop_on_signals};
 use super::settings::{self, Given, Request, Resolved};
-use super::terminal::{Terminal, say};
+use super::terminal::Terminal;
 use super::{Done, usage};
 
 /// Arguments of `mcvl train`.
@@ -106,9 +102,6 @@ fn after_long_help() -> String {
     format!("{EXAMPLES}\n\n{precedence}\n\n{}", settings::list())
 }
 
-/// Set by the first signal; the second one ends the process.
-static STOP: AtomicBool = AtomicBool::new(false);
-
 /// Trains.
 pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let resolved = settings::resolve(&arguments.request(), terminal)?;
@@ -117,19 +110,40 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
     if arguments.dry_run {
         return dry_run(arguments, &plan, terminal);
     }
-    let stop = || {
-        if STOP.swap(true, Ordering::Relaxed) {
-            process::exit(130);
-        }
-        say("stopping: saving the state (once more to abort)");
-    };
-    ctrlc::set_handler(stop)?;
+    stop_on_signals()?;
     let session = if arguments.resume {
-        Session::resume(run, &plan, &resolved, arguments)?
+        Session::resume(run.clone(), |found| same_settings(&run, found, &plan, &resolved, arguments))?
     } else {
         Session::begin(arguments.place(run)?, plan, arguments.overwrite)?
     };
-    session.work(arguments, terminal)
+    let (run, plan) = (session.run().clone(), session.plan().clone());
+    let manner = Manner {
+        threads: arguments.threads(),
+        checkpoint_every: arguments.checkpoint_every,
+        deadline: arguments.max_time.and_then(|time| Instant::now().checked_add(time)),
+        progress: arguments.progress,
+        resume: arguments.resume_command(&run),
+    };
+    match session.work(&manner, terminal)? {
+        Ended::Interrupted(open) => {
+            let seeds = plan.seeds.len();
+            terminal.note(format_args!("stopped with {open} of {seeds} seeds unfinished; the state is saved"));
+            terminal.note(format_args!("continue with: {}", manner.resume));
+            Ok(Done::Interrupted)
+        }
+        Ended::Finished { set, summary, before } => {
+            if arguments.json {
+                writeln!(terminal.out, "{}", serde_json::to_string_pretty(&summary)?)?;
+            } else {
+                if before {
+                    let path = run.path().display();
+                    terminal.note(format_args!("{path} is finished already: nothing to do"));
+                }
+                print(&plan, &set, &summary, terminal)?;
+            }
+            Ok(if arguments.assert_claims && !summary.holds() { Done::DoesNotHold } else { Done::Well })
+        }
+    }
 }
 
 impl TrainArgs {
@@ -195,158 +209,22 @@ impl TrainArgs {
     }
 }
 
-/// A run directory that this process may write to, and what is to be done in it.
-struct Session {
-    run: RunDir,
-    plan: Plan,
-    manifest: Manifest,
-    jobs: Vec<runs::ReadyJob>,
-    _lock: Lock,
-}
-
-impl Session {
-    /// Lays out a new run.
-    fn begin(run: RunDir, plan: Plan, overwrite: bool) -> anyhow::Result<Self> {
-        fs::create_dir_all(run.path()).map_err(RunsError::io("create the folder", run.path()))?;
-        let lock = Lock::take(&run)?;
-        if overwrite {
-            run.clear()?;
-        } else if !run.is_free()? {
-            // Another process came between the look and the lock.
-            usage!("{} was taken by another mcvl a moment ago: choose another directory with -o", run.path().display());
-        }
-        plan.write(&run)?;
-        let mut manifest = Manifest::begin();
-        manifest.write(&run, State::Running, &[])?;
-        let jobs = jobs(&run, &plan).map(Job::ready).collect();
-        Ok(Self { run, plan, manifest, jobs, _lock: lock })
+/// Says how a run came out, and what to look at next.
+fn print(plan: &Plan, set: &RunSet, summary: &Summary, terminal: &mut Terminal) -> anyhow::Result<()> {
+    let path = set.path.display();
+    writeln!(terminal.out, "{}", summary.text().trim_end())?;
+    if plan.settings.iter().any(|(_, setting)| setting.from.0 == settings::QUICK_ORIGIN) {
+        writeln!(terminal.out, "\nA quick run: fewer steps and shorter forecasts than the paper's setting.")?;
     }
-
-    /// Takes up a run where it stopped. Everything is checked before anything is changed.
-    fn resume(run: RunDir, asked: &Plan, resolved: &Resolved, arguments: &TrainArgs) -> anyhow::Result<Self> {
-        if !run.exists() {
-            usage!("there is no run in {} to resume: leave --resume out to begin one", run.path().display());
-        }
-        let lock = Lock::take(&run)?;
-        let plan = Plan::read(&run)?;
-        let mut manifest = match Manifest::read(&run) {
-            Ok(manifest) => manifest,
-            // Killed between the first two files of a run: nothing was trained yet.
-            Err(RunsError::Io { .. }) if !plan.seeds.iter().any(|seed| run.seed(*seed).path().exists()) => {
-                Manifest::begin()
-            }
-            Err(error) => return Err(error.into()),
-        };
-        if !manifest.is_intact() {
-            return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
-        }
-        if let Some(expected) = manifest.files.get("run.toml")
-            && *expected != FileDigest::of(&run.plan())?
-        {
-            let why = "was altered since the run began: its digest is not the one in manifest.json";
-            return Err(RunsError::damaged(&run.plan(), why).into());
-        }
-        same_settings(&run, &plan, asked, resolved, arguments)?;
-        let jobs = jobs(&run, &plan).map(Job::resume).collect::<Result<Vec<_>, _>>()?;
-        if manifest.state != State::Finished {
-            manifest.write(&run, State::Running, &finished(&jobs))?;
-        }
-        Ok(Self { run, plan, manifest, jobs, _lock: lock })
+    // The first refused hack of the lowest seed shows best what a check is.
+    let checks = set.seeds.first().map_or(&[][..], |seed| &seed.checks);
+    let shown = checks.iter().find(|c| c.hack && c.verdict == Verdict::Refuse).or(checks.first());
+    writeln!(terminal.out, "\nNext:")?;
+    if let Some(check) = shown {
+        writeln!(terminal.out, "  mcvl explain {path}#{}", check.number)?;
     }
-
-    /// Trains to the end or until stopped, and leaves the directory in order.
-    fn work(mut self, arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-        // A run that was killed after its last leg still lacks its results.
-        let nothing_to_do = self.manifest.state == State::Finished;
-        let deadline = arguments.max_time.and_then(|time| Instant::now().checked_add(time));
-        let control = Control::new(arguments.checkpoint_every, &STOP, deadline);
-        let mut progress = Progress::new(&self.plan, arguments.progress, terminal);
-        let jobs = std::mem::take(&mut self.jobs);
-        let outcomes = runs::train(jobs, arguments.threads(), &control, |views| progress.tick(views));
-        progress.finish();
-
-        let finished: Vec<u64> =
-            outcomes.iter().filter(|o| matches!(o.result, Ok(Ending::Finished))).map(|o| o.seed).collect();
-        let (mut diverged, mut broken) = (Vec::new(), None);
-        for Outcome { result, .. } in outcomes {
-            match result {
-                Ok(_) => {}
-                Err(error @ RunsError::Diverged { .. }) => diverged.push(error),
-                Err(error) => broken = broken.or(Some(error)),
-            }
-        }
-        if let Some(error) = broken {
-            let resume = arguments.resume_command(&self.run);
-            return Err(anyhow::Error::from(error)
-                .context(format!("training stopped; what was saved before is intact, continue with `{resume}`")));
-        }
-        let open = self.plan.seeds.len() - finished.len() - diverged.len();
-        if open > 0 {
-            self.manifest.write(&self.run, State::Interrupted, &finished)?;
-            let seeds = self.plan.seeds.len();
-            terminal.note(format_args!("stopped with {open} of {seeds} seeds unfinished; the state is saved"));
-            terminal.note(format_args!("continue with: {}", arguments.resume_command(&self.run)));
-            return Ok(Done::Interrupted);
-        }
-        let set = RunSet::read(self.run.path())?;
-        let summary = Summary::new(&set);
-        if !nothing_to_do {
-            write_results(&self.run, &set, &summary)?;
-            let state = if diverged.is_empty() { State::Finished } else { State::Diverged };
-            self.manifest.write(&self.run, state, &finished)?;
-        }
-        let mut diverged = diverged.into_iter();
-        if let Some(first) = diverged.next() {
-            diverged.for_each(|other| terminal.note(format_args!("error: {other}")));
-            return Err(first.into());
-        }
-        self.print(arguments, &set, &summary, nothing_to_do, terminal)?;
-        Ok(if arguments.assert_claims && !summary.holds() { Done::DoesNotHold } else { Done::Well })
-    }
-
-    fn print(
-        &self,
-        arguments: &TrainArgs,
-        set: &RunSet,
-        summary: &Summary,
-        nothing_to_do: bool,
-        terminal: &mut Terminal,
-    ) -> anyhow::Result<()> {
-        if arguments.json {
-            writeln!(terminal.out, "{}", serde_json::to_string_pretty(summary)?)?;
-            return Ok(());
-        }
-        let path = self.run.path().display();
-        if nothing_to_do {
-            terminal.note(format_args!("{path} is finished already: nothing to do"));
-        }
-        writeln!(terminal.out, "{}", summary.text().trim_end())?;
-        if self.plan.settings.iter().any(|(_, setting)| setting.from.0 == settings::QUICK_ORIGIN) {
-            writeln!(terminal.out, "\nA quick run: fewer steps and shorter forecasts than the paper's setting.")?;
-        }
-        // The first refused hack of the lowest seed shows best what a check is.
-        let checks = set.seeds.first().map_or(&[][..], |seed| &seed.checks);
-        let shown = checks.iter().find(|c| c.hack && c.verdict == Verdict::Refuse).or(checks.first());
-        writeln!(terminal.out, "\nNext:")?;
-        if let Some(check) = shown {
-            writeln!(terminal.out, "  mcvl explain {path}#{}", check.number)?;
-        }
-        writeln!(terminal.out, "  mcvl report {path}")?;
-        Ok(())
-    }
-}
-
-/// The jobs of a run, one per seed.
-fn jobs<'a>(run: &'a RunDir, plan: &'a Plan) -> impl Iterator<Item = Job> + 'a {
-    plan.seeds.iter().map(|seed| Job {
-        config: plan.config.with_seed(*seed),
-        learners: plan.learners.clone(),
-        dir: run.seed(*seed),
-    })
-}
-
-fn finished(jobs: &[runs::ReadyJob]) -> Vec<u64> {
-    jobs.iter().filter(|job| job.is_finished()).map(runs::ReadyJob::seed).collect()
+    writeln!(terminal.out, "  mcvl report {path}")?;
+    Ok(())
 }
 
 /// What was given explicitly has to be what the run was begun with.
@@ -385,13 +263,6 @@ fn same_settings(
     Ok(())
 }
 
-fn write_results(run: &RunDir, set: &RunSet, summary: &Summary) -> anyhow::Result<()> {
-    let json = serde_json::to_string_pretty(summary)? + "\n";
-    runs::write_atomic(&run.summary(), json.as_bytes())?;
-    super::report::write_curves(run.path(), "curves", set)?;
-    Ok(())
-}
-
 /// Shows what a run would be.
 fn dry_run(arguments: &TrainArgs, plan: &Plan, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let config = &plan.config;
@@ -405,19 +276,74 @@ fn dry_run(arguments: &TrainArgs, plan: &Plan, terminal: &mut Terminal) -> anyho
         let check = 2 * u64::from(config.forecast);
         writeln!(terminal.out, "# Each check: at most {check} updates in its two forecasts.")?;
     }
-    let speed = speed(plan);
-    let seconds = updates as f64 / speed / arguments.threads().min(plan.seeds.len()) as f64;
-    writeln!(terminal.out, "# Here: about {speed:.0} updates/s on one core, {seconds:.0} s before the checks.")?;
+    let speed = Speed::measure(config);
+    let Speed { live, forecast } = speed;
+    writeln!(
+        terminal.out,
+        "# Here: about {live:.0} updates/s of a live learner, {forecast:.0} in forecasts (one core)."
+    )?;
+    let time = rough(speed.seconds(plan) * plan.seeds.len().div_ceil(arguments.threads()) as f64);
+    let rate = 100.0 * config.experiment().check_rate;
+    writeln!(
+        terminal.out,
+        "# About {time}, if checks are as frequent as at the paper's setting ({rate:.0} % of steps)."
+    )?;
     Ok(Done::Well)
 }
 
-/// Updates per second of this configuration on this machine, from a short trial.
-fn speed(plan: &Plan) -> f64 {
-    let mut config = plan.config.clone();
-    // The trial skips the random steps, which update nothing.
-    config.exploration = config.batch;
-    let mut run = worlds::begin(&config).expect("the plan's world was looked for");
-    let begun = Instant::now();
-    while begun.elapsed() < Duration::from_millis(300) && run.poll(Budget(64), &mut ()) == Ok(Status::Working) {}
-    run.progress().updates.max(1) as f64 / begun.elapsed().as_secs_f64()
+/// Gradient updates per second of a configuration on one core of this machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Speed {
+    /// Of a live learner: both networks, the world, evaluations.
+    live: f64,
+    /// In forecasts.
+    forecast: f64,
+}
+
+/// Time of each of the two trials.
+const TRIAL: Duration = Duration::from_millis(200);
+
+impl Speed {
+    /// Measures by two short trials.
+    pub fn measure(config: &Config) -> Self {
+        let mut config = config.clone();
+        // The trials skip the random steps, which update nothing.
+        config.exploration = config.batch;
+        let mut run = worlds::begin(&config).expect("the plan's world was looked for");
+        let begun = Instant::now();
+        while begun.elapsed() < TRIAL && run.poll(Budget(16), &mut ()) == Ok(Status::Working) {}
+        let live = run.progress().updates.max(1) as f64 / begun.elapsed().as_secs_f64();
+        // Straight into a check that takes longer than the trial.
+        let mut config = config.with_agent(Learner::Mc);
+        (config.safe_steps, config.scheme, config.forecast) = (2 * config.batch, Scheme::All, 1_000_000);
+        (config.evaluations, config.evaluation_episodes, config.practice_reward_updates) = (1, 1, config.batch);
+        let mut run = worlds::begin(&config).expect("the plan's world was looked for");
+        while run.progress().check.is_none() && run.poll(Budget(1), &mut ()).is_ok_and(|status| status != Status::Done)
+        {
+        }
+        let (begun, mut updates) = (Instant::now(), 0.0);
+        while begun.elapsed() < TRIAL && run.progress().check.is_some() && run.poll(Budget(16), &mut ()).is_ok() {
+            updates += 16.0;
+        }
+        Self { live, forecast: f64::max(updates, 1.0) / begun.elapsed().as_secs_f64() }
+    }
+
+    /// Seconds that one seed of a plan is expected to take on one core.
+    pub fn seconds(&self, plan: &Plan) -> f64 {
+        let live: f64 = plan.expected_updates(0.0).sum();
+        let all: f64 = plan.expected_updates(expected_forecasts(&plan.config)).sum();
+        self.of(live, all - live)
+    }
+
+    /// Seconds that so many updates take.
+    pub fn of(&self, live: f64, forecast: f64) -> f64 {
+        live / self.live + forecast / self.forecast
+    }
+}
+
+/// A time to two parts or so: «1h 5m», «3m 20s».
+pub fn rough(seconds: f64) -> String {
+    let step = if seconds < 600.0 { 1 } else { 60 };
+    let whole = (seconds as u64).div_ceil(step) * step;
+    humantime::format_duration(Duration::from_secs(whole.max(1))).to_string()
 }

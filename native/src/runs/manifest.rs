@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 use std::{env, thread};
 
 use serde::{Deserialize, Serialize};
@@ -71,6 +71,10 @@ pub struct Manifest {
     pub started: String,
     /// When it ended last (UTC).
     pub ended: Option<String>,
+    /// Wall time of training so far, milliseconds, without the pauses between sessions; what a killed session
+    /// did is not in it. Runs of before this was counted have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trained_ms: Option<u64>,
     /// How the run stands.
     pub state: State,
     /// Finished files, by path in the run directory with `/` between folders.
@@ -94,10 +98,26 @@ impl Manifest {
             cores: thread::available_parallelism().map_or(1, usize::from),
             started: now(),
             ended: None,
+            trained_ms: Some(0),
             state: State::Running,
             files: BTreeMap::new(),
             seal: String::new(),
         }
+    }
+
+    /// Counts time in which training went on; not in a manifest that never counted any.
+    pub fn add_time(&mut self, time: Duration) {
+        let more = u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
+        self.trained_ms = self.trained_ms.map(|before| before.saturating_add(more));
+    }
+
+    /// Wall time of training: counted, or in runs of before it was, from begin to end with the pauses.
+    pub fn training_time(&self) -> Option<Duration> {
+        let span = || {
+            let parse = |text: &str| humantime::parse_rfc3339(text).ok();
+            parse(self.ended.as_deref()?)?.duration_since(parse(&self.started)?).ok()
+        };
+        self.trained_ms.map(Duration::from_millis).or_else(span)
     }
 
     fn sealed(&self) -> String {

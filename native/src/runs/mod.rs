@@ -39,7 +39,7 @@ pub use chain::{Chain, LedgerLine, sha256};
 pub use job::{Ending, Job, ReadyJob};
 pub use layout::{Place, Reference, RunDir, SeedDir};
 pub use manifest::{FileDigest, Manifest, State};
-pub use plan::{Origin, Plan, Setting};
+pub use plan::{Origin, Plan, Setting, expected_forecasts};
 pub use pool::{Control, Outcome, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
 pub use tape::run_tape;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use mcvl_core::config::{Config, KEYS, Learner};
+use mcvl_core::config::{Config, KEYS, Learner, Scheme};
 use serde::{Deserialize, Serialize};
 
 use super::write::write_atomic;
@@ -53,6 +53,20 @@ struct File {
     settings: std::collections::BTreeMap<String, Setting>,
 }
 
+/// Gradient updates in forecasts that a step of the checking learner is expected to cost, from the share of
+/// steps that its world has had checked so far. Unmodified futures are hardly ever reused: a refusal resets
+/// the world, and the next step is most often learned from.
+pub fn expected_forecasts(config: &Config) -> f64 {
+    let checked = match config.scheme {
+        Scheme::All => 1.0,
+        Scheme::ByReward | Scheme::Punish | Scheme::StorePredicted => config.experiment().check_rate,
+        // These forecast nothing.
+        Scheme::Discard | Scheme::EachStep | Scheme::None => 0.0,
+    };
+    let practice = if config.practice { f64::from(config.practice_reward_updates) } else { 0.0 };
+    checked * 2.0 * (f64::from(config.forecast) + practice)
+}
+
 impl Plan {
     /// The text of `run.toml`.
     pub fn to_toml(&self) -> String {
@@ -85,7 +99,7 @@ impl Plan {
         Self::parse(&text).map_err(|why| RunsError::damaged(&path, why))
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let file: File = toml::from_str(text).map_err(|error| format!("is no run.toml: {error}"))?;
         let seeds: Option<Vec<u64>> = file.seeds.iter().map(|seed| seed.parse().ok()).collect();
         let Some(seeds) = seeds.filter(|seeds| !seeds.is_empty() && seeds.is_sorted_by(|a, b| a < b)) else {
@@ -100,10 +114,26 @@ impl Plan {
                 Some(setting) if setting.value == key.value(&file.config) => {
                     settings.push((key.name.to_owned(), setting.clone()));
                 }
-                _ => return Err(format!("`{}` under [settings] contradicts `config`: the file was altered", key.name)),
+                // A run of before this setting was one: it ran as its default says.
+                None => {
+                    let (value, from) = (key.value(&file.config), Origin::default_value());
+                    settings.push((key.name.to_owned(), Setting { value, from }));
+                }
+                Some(_) => {
+                    return Err(format!("`{}` under [settings] contradicts `config`: the file was altered", key.name));
+                }
             }
         }
         Ok(Self { config: file.config, seeds, learners: file.learners, settings })
+    }
+
+    /// Gradient updates that one seed is expected to cost, leg by leg: one per step, and what forecasts take
+    /// where `forecasts` per step are expected.
+    pub fn expected_updates(&self, forecasts: f64) -> impl Iterator<Item = f64> + Clone + use<'_> {
+        let full = f64::from(self.config.full_steps);
+        let per_step = move |learner: &Learner| 1.0 + if *learner == Learner::Mc { forecasts } else { 0.0 };
+        let legs = self.learners.iter().map(move |learner| full * per_step(learner));
+        std::iter::once(f64::from(self.config.safe_steps)).chain(legs)
     }
 
     /// Writes `run.toml`.
@@ -146,6 +176,9 @@ mod tests {
         let altered = text.replace("threshold = { value = \"0.125\"", "threshold = { value = \"0.5\"");
         assert_ne!(altered, text);
         assert!(Plan::parse(&altered).unwrap_err().contains("`threshold` under [settings] contradicts"));
+        let older: String =
+            text.lines().filter(|line| !line.starts_with("tau = ")).map(|l| l.to_owned() + "\n").collect();
+        assert_eq!(Plan::parse(&older).unwrap().config, plan().config, "a setting that came later has its default");
         assert!(Plan::parse(&text[..text.len() / 2]).is_err());
         assert!(Plan::parse(&text.replace("learners", "lerners")).is_err());
     }

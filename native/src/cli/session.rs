@@ -1,0 +1,205 @@
+//! A run directory at work: laid out or taken up again, trained until it is finished or somebody says
+//! stop, and left in order. `mcvl train` has one session, `mcvl reproduce` one per cell.
+
+use std::fs;
+use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use mcvl::report::claims::Summary;
+use mcvl::runs::{
+    self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
+};
+
+use super::progress::{Progress, Style};
+use super::terminal::{Terminal, say};
+use super::usage;
+
+/// Set by the first signal; the second one ends the process.
+static STOP: AtomicBool = AtomicBool::new(false);
+
+/// Lets the first Ctrl-C or SIGTERM stop training with the state saved, and the second one abort.
+pub fn stop_on_signals() -> anyhow::Result<()> {
+    let stop = || {
+        if STOP.swap(true, Ordering::Relaxed) {
+            process::exit(130);
+        }
+        say("stopping: saving the state (once more to abort)");
+    };
+    Ok(ctrlc::set_handler(stop)?)
+}
+
+/// How a session works; no result depends on it.
+pub struct Manner {
+    /// Seeds at a time.
+    pub threads: usize,
+    /// A kill loses at most about this much work.
+    pub checkpoint_every: Duration,
+    /// When to stop with the state saved.
+    pub deadline: Option<Instant>,
+    /// How progress is shown.
+    pub progress: Style,
+    /// The command that continues the work.
+    pub resume: String,
+}
+
+impl Manner {
+    /// Says when to save and when to stop.
+    pub fn control(&self) -> Control {
+        Control::new(self.checkpoint_every, &STOP, self.deadline)
+    }
+}
+
+/// How a session ended.
+pub enum Ended {
+    /// Every seed is finished.
+    Finished {
+        /// The run, read back.
+        set: Box<RunSet>,
+        /// Its summary.
+        summary: Box<Summary>,
+        /// It was finished before the session began.
+        before: bool,
+    },
+    /// Stopped on request with the state saved; so many seeds are unfinished.
+    Interrupted(usize),
+}
+
+/// A run directory that this process may write to, and what is to be done in it.
+pub struct Session {
+    run: RunDir,
+    plan: Plan,
+    manifest: Manifest,
+    jobs: Vec<runs::ReadyJob>,
+    _lock: Lock,
+}
+
+impl Session {
+    /// Lays out a new run.
+    pub fn begin(run: RunDir, plan: Plan, overwrite: bool) -> anyhow::Result<Self> {
+        fs::create_dir_all(run.path()).map_err(RunsError::io("create the folder", run.path()))?;
+        let lock = Lock::take(&run)?;
+        if overwrite {
+            run.clear()?;
+        } else if !run.is_free()? {
+            // Another process came between the look and the lock.
+            usage!("{} was taken by another mcvl a moment ago: choose another directory with -o", run.path().display());
+        }
+        plan.write(&run)?;
+        let mut manifest = Manifest::begin();
+        manifest.write(&run, State::Running, &[])?;
+        let jobs = jobs(&run, &plan).map(Job::ready).collect();
+        Ok(Self { run, plan, manifest, jobs, _lock: lock })
+    }
+
+    /// Takes up a run where it stopped, if `fits` says that its plan is the wanted one. Everything is
+    /// checked before anything is changed.
+    pub fn resume(run: RunDir, fits: impl FnOnce(&Plan) -> anyhow::Result<()>) -> anyhow::Result<Self> {
+        if !run.exists() {
+            usage!("there is no run in {} to resume: leave --resume out to begin one", run.path().display());
+        }
+        let lock = Lock::take(&run)?;
+        let plan = Plan::read(&run)?;
+        let mut manifest = match Manifest::read(&run) {
+            Ok(manifest) => manifest,
+            // Killed between the first two files of a run: nothing was trained yet.
+            Err(RunsError::Io { .. }) if !plan.seeds.iter().any(|seed| run.seed(*seed).path().exists()) => {
+                Manifest::begin()
+            }
+            Err(error) => return Err(error.into()),
+        };
+        if !manifest.is_intact() {
+            return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
+        }
+        if let Some(expected) = manifest.files.get("run.toml")
+            && *expected != FileDigest::of(&run.plan())?
+        {
+            let why = "was altered since the run began: its digest is not the one in manifest.json";
+            return Err(RunsError::damaged(&run.plan(), why).into());
+        }
+        fits(&plan)?;
+        let jobs = jobs(&run, &plan).map(Job::resume).collect::<Result<Vec<_>, _>>()?;
+        if manifest.state != State::Finished {
+            manifest.write(&run, State::Running, &finished(&jobs))?;
+        }
+        Ok(Self { run, plan, manifest, jobs, _lock: lock })
+    }
+
+    /// The directory.
+    pub fn run(&self) -> &RunDir {
+        &self.run
+    }
+
+    /// What is to be done in it.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Trains to the end or until stopped, and leaves the directory in order.
+    pub fn work(mut self, manner: &Manner, terminal: &Terminal) -> anyhow::Result<Ended> {
+        // A run that was killed after its last leg still lacks its results.
+        let before = self.manifest.state == State::Finished;
+        let begun = Instant::now();
+        let mut progress = Progress::new(&self.plan, manner.progress, terminal);
+        let jobs = std::mem::take(&mut self.jobs);
+        let outcomes = runs::train(jobs, manner.threads, &manner.control(), |views| progress.tick(views));
+        progress.finish();
+        if !before {
+            self.manifest.add_time(begun.elapsed());
+        }
+
+        let finished: Vec<u64> =
+            outcomes.iter().filter(|o| matches!(o.result, Ok(Ending::Finished))).map(|o| o.seed).collect();
+        let (mut diverged, mut broken) = (Vec::new(), None);
+        for Outcome { result, .. } in outcomes {
+            match result {
+                Ok(_) => {}
+                Err(error @ RunsError::Diverged { .. }) => diverged.push(error),
+                Err(error) => broken = broken.or(Some(error)),
+            }
+        }
+        if let Some(error) = broken {
+            let resume = &manner.resume;
+            return Err(anyhow::Error::from(error)
+                .context(format!("training stopped; what was saved before is intact, continue with `{resume}`")));
+        }
+        let open = self.plan.seeds.len() - finished.len() - diverged.len();
+        if open > 0 {
+            self.manifest.write(&self.run, State::Interrupted, &finished)?;
+            return Ok(Ended::Interrupted(open));
+        }
+        let set = RunSet::read(self.run.path())?;
+        let summary = Summary::new(&set);
+        if !before {
+            write_results(&self.run, &set, &summary)?;
+            let state = if diverged.is_empty() { State::Finished } else { State::Diverged };
+            self.manifest.write(&self.run, state, &finished)?;
+        }
+        let mut diverged = diverged.into_iter();
+        if let Some(first) = diverged.next() {
+            diverged.for_each(|other| terminal.note(format_args!("error: {other}")));
+            return Err(first.into());
+        }
+        Ok(Ended::Finished { set: Box::new(set), summary: Box::new(summary), before })
+    }
+}
+
+/// The jobs of a run, one per seed.
+fn jobs<'a>(run: &'a RunDir, plan: &'a Plan) -> impl Iterator<Item = Job> + 'a {
+    plan.seeds.iter().map(|seed| Job {
+        config: plan.config.with_seed(*seed),
+        learners: plan.learners.clone(),
+        dir: run.seed(*seed),
+    })
+}
+
+fn finished(jobs: &[runs::ReadyJob]) -> Vec<u64> {
+    jobs.iter().filter(|job| job.is_finished()).map(runs::ReadyJob::seed).collect()
+}
+
+fn write_results(run: &RunDir, set: &RunSet, summary: &Summary) -> anyhow::Result<()> {
+    let json = serde_json::to_string_pretty(summary)? + "\n";
+    runs::write_atomic(&run.summary(), json.as_bytes())?;
+    super::report::write_curves(run.path(), "curves", set)?;
+    Ok(())
+}
