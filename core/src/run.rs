@@ -168,6 +168,7 @@ trait Erased: Send {
     fn status(&self) -> Status;
     fn progress(&self) -> Progress;
     fn choose(&mut self, agent: Learner) -> Option<()>;
+    fn redrawn(&self, draw: u64, paired: bool) -> Option<Box<dyn Erased>>;
     fn state(&self) -> Vec<u8>;
     fn spec(&self) -> &EnvSpec;
     fn frame(&self) -> Frame;
@@ -226,6 +227,11 @@ where
 
     fn choose(&mut self, agent: Learner) -> Option<()> {
         self.trainer.choose(agent)
+    }
+
+    fn redrawn(&self, draw: u64, paired: bool) -> Option<Box<dyn Erased>> {
+        let mut trainer = self.trainer.clone();
+        trainer.redraw_check(draw, paired).map(|()| Box::new(Self::new(trainer)) as Box<dyn Erased>)
     }
 
     fn state(&self) -> Vec<u8> {
@@ -430,6 +436,16 @@ impl Run {
         copy.inner.choose(agent).map(|()| copy)
     }
 
+    /// A copy whose check under way is made anew with other random streams, named by `draw` (the learner's
+    /// count of updates names the run's own); `paired` says whether the two futures share them. For measuring
+    /// how far a decision depends on chance: the copy is no run of its configuration any more.
+    ///
+    /// # Errors
+    /// `None` unless a check is under way ([`Progress::check`]).
+    pub fn redrawn(&self, draw: u64, paired: bool) -> Option<Self> {
+        self.inner.redrawn(draw, paired).map(|inner| Self { inner })
+    }
+
     /// The whole state as bytes; [`Run::resume`] continues to the last bit, wherever the poll stood.
     /// Forecasts under way are not part of it: they are made again from the same start, so whoever stops
     /// and continues more often than a check takes does not get past it.
@@ -533,6 +549,36 @@ mod tests {
             let run = Run::new(&Config::new(experiment.name, Preset::Paper).unwrap());
             assert_eq!(run.spec().name, experiment.name);
         }
+    }
+
+    #[test]
+    fn a_check_can_be_made_anew_with_other_streams() {
+        let text = "env=tomato-watering safe_steps=60 full_steps=40 exploration=30 forecast=20 rollouts=4 \
+                    rollout_steps=10 evaluations=2 evaluation_episodes=2 hidden=8 scheme=all";
+        let mut run = Run::new(&text.parse().unwrap());
+        assert!(run.redrawn(1, true).is_none(), "no check is under way");
+        while run.progress().check.is_none() {
+            run.poll(Budget(1), &mut ()).unwrap();
+        }
+        let decide = |mut run: Run| {
+            let mut found = None;
+            while found.is_none() {
+                let mut keep = |event: &Event| {
+                    if let Event::Check(check) = event {
+                        found = Some((**check).clone());
+                    }
+                };
+                run.poll(Budget(1), &mut keep).unwrap();
+            }
+            found.unwrap()
+        };
+        let own = decide(run.clone());
+        // Also where the forecasts have begun.
+        run.poll(Budget(5), &mut ()).unwrap();
+        assert_eq!(decide(run.redrawn(run.progress().updates, true).unwrap()), own);
+        let other = decide(run.redrawn(7, true).unwrap());
+        assert_ne!(other.modified, own.modified);
+        assert_ne!(decide(run.redrawn(7, false).unwrap()).unmodified, other.unmodified);
     }
 
     #[test]

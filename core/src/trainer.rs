@@ -281,6 +281,20 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         }
     }
 
+    /// Makes the check that is under way anew with other random streams, those that `draw` names; `paired` says
+    /// whether its two futures share them. For measuring how far a decision depends on chance: a trainer that
+    /// was treated so is no run of its configuration any more. Give it a new forecaster.
+    ///
+    /// # Errors
+    /// `None`, with nothing changed, unless a check is under way.
+    pub fn redraw_check(&mut self, draw: u64, paired: bool) -> Option<()> {
+        let Activity::Check(pending) = &mut self.activity else { return None };
+        pending.draw = draw;
+        (self.config.paired_batches, self.config.paired_rollouts) = (paired, paired);
+        (self.reusable, self.check_progress) = (None, None);
+        Some(())
+    }
+
     /// Where the run stands.
     pub fn status(&self) -> Status {
         match self.activity {
