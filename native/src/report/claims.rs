@@ -364,7 +364,7 @@ fn verdict_lines(verdicts: &Verdicts) -> String {
 }
 
 /// Text after a lead, wrapped to `width` columns; further lines are indented under the first.
-pub(super) fn wrapped(lead: &str, text: &str, width: usize) -> String {
+pub(crate) fn wrapped(lead: &str, text: &str, width: usize) -> String {
     let indent = lead.chars().count();
     let mut out = String::from(lead);
     let mut column = indent;

@@ -12,4 +12,4 @@ pub mod statistics;
 mod svg;
 
 #[cfg(test)]
-mod samples;
+pub(crate) mod samples;

@@ -20,6 +20,8 @@ const COLOURS: &[(&str, &str, &str)] = &[
     ("third", "#00795a", "#3cc39b"),
     ("fourth", "#9c4f80", "#dd94c0"),
     ("fifth", "#8a6d00", "#e3c02f"),
+    ("sixth", "#6b4fa0", "#b9a2ea"),
+    ("seventh", "#2f7d32", "#7fcf82"),
     ("good", "#00694e", "#4fcfa8"),
     ("bad", "#a83c00", "#ff9a5c"),
 ];
@@ -40,7 +42,7 @@ const STYLE: &str = "\
 .f-good{fill:var(--good)}.f-bad{fill:var(--bad)}";
 
 /// Names of the colours that tell series apart, in the order in which they are given out.
-pub(super) const SERIES: &[&str] = &["safe", "baseline", "mc", "third", "fourth", "fifth"];
+pub(super) const SERIES: &[&str] = &["safe", "baseline", "mc", "third", "fourth", "fifth", "sixth", "seventh"];
 
 /// The palette as CSS custom properties: of the dark scheme or of the light one.
 pub(super) fn variables(dark: bool) -> String {

@@ -5,7 +5,7 @@ use super::{Figure, Horizontal, Layout, Panel, Point, Reference, Series};
 use crate::report::svg::{Anchor, SERIES, Svg, text_width};
 
 /// Dash of each look; empty is solid.
-const DASHES: &[&str] = &["", "8 4", "", "2 3", "10 3 2 3", "5 2"];
+const DASHES: &[&str] = &["", "8 4", "", "2 3", "10 3 2 3", "5 2", "14 4", "1 3 6 3"];
 const TEXT: f64 = 12.5;
 const SMALL: f64 = 11.5;
 /// Room around the plotting area: tick labels and titles left and below, names of references right.
@@ -38,6 +38,7 @@ impl Area {
 /// Draws a figure.
 pub(super) fn figure(figure: &Figure, layout: Layout, inline: bool) -> String {
     let (panel_width, panel_height, columns) = match layout {
+        Layout::Row if figure.columns > 0 => (520.0, 358.0, figure.columns),
         Layout::Row => (520.0, 358.0, figure.panels.len().max(1)),
         Layout::Column => (400.0, 308.0, 1),
     };
@@ -134,9 +135,11 @@ fn horizontal_axis(svg: &mut Svg, panel: &Panel, area: Area) -> Scale {
     let below = area.bottom() + 18.0;
     let (title, scale) = match &panel.x {
         Horizontal::Steps { title, switch } => {
-            let ends = panel.series.iter().flat_map(|series| series.points.iter().map(|point| point.x));
-            let high = ends.fold(switch.unwrap_or(1.0), f64::max);
-            let scale = Scale::new(0.0, high, area.x, area.right());
+            let places = || panel.series.iter().flat_map(|series| series.points.iter().map(|point| point.x));
+            let high = places().fold(switch.unwrap_or(1.0), f64::max);
+            // A panel without a point still has an axis.
+            let (low, high) = (places().fold(0.0, f64::min), if high > 0.0 { high } else { 1.0 });
+            let scale = Scale::new(low, high, area.x, area.right());
             for tick in scale.ticks(5) {
                 let at = scale.at(tick);
                 svg.line("f-axis", (at, area.bottom()), (at, area.bottom() + 4.0));

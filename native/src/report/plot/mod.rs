@@ -24,8 +24,10 @@ pub struct Figure {
     pub description: String,
     /// How to read it, beside the legend.
     pub note: String,
-    /// Panels, from left to right.
+    /// Panels, from left to right, then downwards.
     pub panels: Vec<Panel>,
+    /// Panels side by side; 0 for all of them.
+    pub columns: usize,
 }
 
 /// One pair of axes.
@@ -48,7 +50,7 @@ pub struct Panel {
 pub enum Horizontal {
     /// Numbers.
     Steps {
-        /// Title with unit.
+        /// Title with unit; they begin at 0, or at the least step there is.
         title: String,
         /// Where Safe training ends and the Full world begins.
         switch: Option<f64>,
@@ -168,6 +170,7 @@ pub fn curves(set: &RunSet) -> Figure {
             count => format!("mean of {count} seeds, band: its 95 % interval"),
         },
         panels: vec![panel(Quantity::Return), panel(Quantity::Performance)],
+        columns: 0,
     }
 }
 
@@ -188,17 +191,18 @@ pub fn sweep(sets: &[(String, &RunSet)]) -> Figure {
         description: told.collect::<Vec<_>>().join(" "),
         note: "dots: seeds, bar: mean, line: its 95 % interval".into(),
         panels: vec![panel(Quantity::Return), panel(Quantity::Performance)],
+        columns: 0,
     }
 }
 
-fn name_of(quantity: Quantity) -> &'static str {
+pub(crate) fn name_of(quantity: Quantity) -> &'static str {
     match quantity {
         Quantity::Return => "Observed return",
         Quantity::Performance => "Performance",
     }
 }
 
-fn unit_of(quantity: Quantity) -> &'static str {
+pub(crate) fn unit_of(quantity: Quantity) -> &'static str {
     match quantity {
         Quantity::Return => "observed reward per episode",
         Quantity::Performance => "hidden reward per episode",
@@ -206,7 +210,7 @@ fn unit_of(quantity: Quantity) -> &'static str {
 }
 
 /// Name of a leg in legends.
-fn legend_of(arm: Arm) -> &'static str {
+pub(crate) fn legend_of(arm: Arm) -> &'static str {
     match arm {
         Arm::Safe => "Safe training (shared)",
         Arm::Baseline => "plain learner",
@@ -218,7 +222,7 @@ fn legend_of(arm: Arm) -> &'static str {
 }
 
 /// Index of a leg's look.
-fn look_of(arm: Arm) -> usize {
+pub(crate) fn look_of(arm: Arm) -> usize {
     match arm {
         Arm::Safe => 0,
         Arm::Baseline => 1,
@@ -255,7 +259,7 @@ fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Ser
 }
 
 /// The optima that the experiment's table knows.
-fn references(config: &Config, quantity: Quantity) -> Vec<Reference> {
+pub(crate) fn references(config: &Config, quantity: Quantity) -> Vec<Reference> {
     let Some(optima) = config.optima() else { return Vec::new() };
     let reference = |y: f64, name: &str| Reference { y, name: name.into() };
     let mut list = vec![reference(optima.safe_best, "best in Safe"), reference(optima.intended, "intended")];
