@@ -1,9 +1,10 @@
-//! The native trainer: runs and files, statistics, figures, reports, exports, measurements, Reacher in MuJoCo,
-//! and the command `mcvl`.
+//! The native trainer: runs and files, statistics, figures, reports, the paper's experiments, exports,
+//! measurements, Reacher in MuJoCo, and the command `mcvl`.
 
 pub mod bench;
 pub mod export;
 pub mod mujoco;
 pub mod report;
+pub mod reproduce;
 pub mod runs;
 pub mod worlds;

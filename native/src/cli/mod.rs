@@ -9,6 +9,7 @@ mod play;
 mod progress;
 mod replay;
 mod report;
+mod reproduce;
 mod serve;
 mod session;
 mod settings;
@@ -84,6 +85,8 @@ enum Command {
     Compare(report::CompareArgs),
     /// Write a self-contained HTML report with curves and decisions
     Report(report::ReportArgs),
+    /// Reproduce the paper's experiments: train, judge every claim, draw figures
+    Reproduce(Box<reproduce::ReproduceArgs>),
     /// Act in an environment yourself; at the end see the hidden score
     Play(play::PlayArgs),
     /// Write a run in formats that other tools read
@@ -170,6 +173,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Verify(arguments) => inspect::verify(&arguments, terminal),
         Command::Compare(arguments) => report::compare(&arguments, terminal),
         Command::Report(arguments) => report::report(&arguments, terminal),
+        Command::Reproduce(arguments) => reproduce::reproduce(&arguments, terminal),
         Command::Play(arguments) => play::play(&arguments, terminal),
         Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),

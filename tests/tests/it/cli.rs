@@ -126,6 +126,7 @@ const COMMANDS: &[&str] = &[
     "verify",
     "compare",
     "report",
+    "reproduce",
     "play",
     "export",
     "serve",

@@ -9,6 +9,7 @@ mod golden;
 mod golden_reacher;
 mod page;
 mod play;
+mod reproduce;
 mod serve;
 mod tidy;
 mod wasm;

@@ -1,0 +1,240 @@
+//! A finished cell in one file: all that claims and figures read, small enough to be kept and passed on.
+
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use mcvl_core::record::Arm;
+use serde::{Deserialize, Serialize};
+
+use super::spread::Spread;
+use crate::report::claims::Summary;
+use crate::report::statistics::{self, Estimate, Quantity, mean};
+use crate::runs::{Manifest, RunSet, RunsError, write_atomic};
+
+/// First field of every record.
+const FORMAT: &str = "mcvl record";
+/// Version of the format.
+const VERSION: u32 = 1;
+/// Ending of the names of records.
+pub const RECORD_SUFFIX: &str = ".record.json";
+/// Points behind a value at the end of a leg.
+const END_POINTS: usize = 5;
+
+/// A finished cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Always `mcvl record`.
+    pub format: String,
+    /// Version of the format.
+    pub version: u32,
+    /// Name of the cell.
+    pub cell: String,
+    /// Its configuration as text, with the first seed.
+    pub config: String,
+    /// Version of mcvl that trained it.
+    pub program: String,
+    /// Commit of that program, where known.
+    pub commit: Option<String>,
+    /// Processor.
+    pub cpu: String,
+    /// Its cores.
+    pub cores: usize,
+    /// Wall time of training, milliseconds, where known.
+    pub trained_ms: Option<u64>,
+    /// Seal of the run's manifest: a record of another state of the run has another one.
+    pub seal: String,
+    /// Where each learner ends, the decisions, seed by seed; none where the cell measures spread.
+    pub summary: Option<Summary>,
+    /// Legs of all seeds.
+    pub arms: Vec<ArmRecord>,
+    /// Spread of repeated checks, where the cell measures that.
+    pub spread: Option<Spread>,
+}
+
+/// A leg over seeds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ArmRecord {
+    /// Which leg.
+    pub arm: Arm,
+    /// Gradient updates of the live learner in this leg, all seeds together, without those taken back.
+    pub updates: u64,
+    /// Share of the reward model's first-layer units that are dead at the end of the leg, 0 to 1: mean over
+    /// seeds and their last 5 points; none where it was not trained.
+    pub dead_units: Option<f64>,
+    /// Evaluation points, by step.
+    pub curve: Vec<Curve>,
+}
+
+/// An evaluation point over seeds, raw units, rounded to four decimals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Steps made in the leg.
+    pub step: u32,
+    /// Observed return: mean and the ends of its 95 % interval.
+    #[serde(rename = "return")]
+    pub observed_return: [f64; 3],
+    /// Performance, likewise.
+    pub performance: [f64; 3],
+    /// Seeds that were evaluated at this step.
+    pub seeds: usize,
+}
+
+impl Curve {
+    /// The three numbers of a quantity.
+    pub fn of(&self, quantity: Quantity) -> [f64; 3] {
+        match quantity {
+            Quantity::Return => self.observed_return,
+            Quantity::Performance => self.performance,
+        }
+    }
+}
+
+impl Record {
+    /// The record of a finished run.
+    pub fn of_run(cell: &str, set: &RunSet, manifest: &Manifest) -> Self {
+        let arms = Arm::ALL.into_iter().filter_map(|arm| ArmRecord::of(set, arm)).collect();
+        Self { summary: Some(Summary::new(set)), arms, ..Self::bare(cell, &set.config.to_string(), manifest) }
+    }
+
+    /// The record of a measurement of spread.
+    pub fn of_spread(cell: &str, config: &str, spread: Spread, manifest: &Manifest) -> Self {
+        Self { spread: Some(spread), ..Self::bare(cell, config, manifest) }
+    }
+
+    fn bare(cell: &str, config: &str, manifest: &Manifest) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            cell: cell.to_owned(),
+            config: config.to_owned(),
+            program: manifest.version.clone(),
+            commit: manifest.commit.clone(),
+            cpu: manifest.cpu.clone(),
+            cores: manifest.cores,
+            trained_ms: manifest.training_time().map(|time| u64::try_from(time.as_millis()).unwrap_or(u64::MAX)),
+            seal: manifest.seal.clone(),
+            summary: None,
+            arms: Vec::new(),
+            spread: None,
+        }
+    }
+
+    /// Reads a record.
+    ///
+    /// # Errors
+    /// If it cannot be read, is none, or is of another version.
+    pub fn read(path: &Path) -> Result<Self, RunsError> {
+        let text = fs::read_to_string(path).map_err(RunsError::io("read", path))?;
+        Self::parse(&text).map_err(|why| RunsError::damaged(path, why))
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        #[derive(Deserialize)]
+        struct Head {
+            format: String,
+            version: u32,
+        }
+        let head: Head = serde_json::from_str(text).map_err(|error| format!("is no record of mcvl: {error}"))?;
+        if head.format != FORMAT {
+            return Err(format!("is no record of mcvl: its format is `{}`", head.format));
+        }
+        if head.version != VERSION {
+            return Err(format!(
+                "is a record of format version {}, this program reads version {VERSION}: use the version of mcvl that \
+                 wrote it, or leave the file out",
+                head.version
+            ));
+        }
+        let record: Self = serde_json::from_str(text).map_err(|error| format!("is damaged: {error}"))?;
+        if record.summary.is_some() == record.spread.is_some() {
+            return Err("is damaged: it holds neither a run nor a measurement, or both".to_owned());
+        }
+        Ok(record)
+    }
+
+    /// Writes the record.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), RunsError> {
+        let text = serde_json::to_string(self).expect("a record is plain data") + "\n";
+        write_atomic(path, text.as_bytes())
+    }
+
+    /// Seeds that are in it, ascending.
+    pub fn seeds(&self) -> &[u64] {
+        match (&self.summary, &self.spread) {
+            (Some(summary), _) => &summary.seeds,
+            (None, Some(spread)) => std::slice::from_ref(&spread.seed),
+            (None, None) => &[],
+        }
+    }
+
+    /// Wall time of training, where known.
+    pub fn trained(&self) -> Option<Duration> {
+        self.trained_ms.map(Duration::from_millis)
+    }
+
+    /// A leg, if it is there.
+    pub fn arm(&self, arm: Arm) -> Option<&ArmRecord> {
+        self.arms.iter().find(|record| record.arm == arm)
+    }
+
+    /// Updates of the gated leg, forecasts included, per update of the ungated one.
+    pub fn slowdown(&self) -> Option<f64> {
+        let cost = self.summary.as_ref()?.verdicts?.cost;
+        let (gated, ungated) = (self.arm(Arm::Mc)?.updates, self.arm(Arm::Baseline)?.updates);
+        (ungated > 0).then(|| (gated + cost) as f64 / ungated as f64)
+    }
+}
+
+impl ArmRecord {
+    fn of(set: &RunSet, arm: Arm) -> Option<Self> {
+        let rounded = |value: f64| (value * 1e4).round() / 1e4;
+        let three = |e: &Estimate| [rounded(e.mean), rounded(e.low), rounded(e.high)];
+        let performance = statistics::curve(&set.seeds, arm, Quantity::Performance);
+        let curve: Vec<Curve> = statistics::curve(&set.seeds, arm, Quantity::Return)
+            .iter()
+            .zip(&performance)
+            .map(|(observed, performance)| Curve {
+                step: observed.step,
+                observed_return: three(&observed.estimate),
+                performance: three(&performance.estimate),
+                seeds: observed.estimate.count,
+            })
+            .collect();
+        let mut updates = 0;
+        let mut dead = Vec::new();
+        for seed in &set.seeds {
+            let made = |arm: Arm| seed.ends.iter().find(|end| end.arm == arm).map(|end| end.updates);
+            let before = if arm == Arm::Safe { 0 } else { made(Arm::Safe).unwrap_or(0) };
+            updates += made(arm).unwrap_or(before).saturating_sub(before);
+            // A point without an update of the reward model says 0 of it, which is no measurement.
+            let points = seed.learner.iter().filter(|point| point.arm == arm && point.reward_loss > 0.0);
+            let points: Vec<f64> = points.map(|point| point.dead_units).collect();
+            dead.extend(mean(&points[points.len().saturating_sub(END_POINTS)..]));
+        }
+        (!curve.is_empty()).then(|| Self { arm, updates, dead_units: mean(&dead), curve })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::samples;
+
+    #[test]
+    fn a_record_reads_back_and_others_are_named() {
+        let record = Record::of_run("box", &samples::ten(), &Manifest::begin());
+        let text = serde_json::to_string(&record).unwrap();
+        assert_eq!(Record::parse(&text).unwrap(), record);
+        assert_eq!((record.seeds().len(), record.arm(Arm::Mc).unwrap().curve.len()), (10, 51));
+        let wrong = |from: &str, to: &str| Record::parse(&text.replacen(from, to, 1)).unwrap_err();
+        assert!(wrong("\"version\":1", "\"version\":9").contains("format version 9, this program reads version 1"));
+        assert!(wrong("mcvl record", "mcvl tape").contains("its format is `mcvl tape`"));
+        assert!(wrong("\"arms\"", "\"legs\"").contains("is damaged"));
+        assert!(Record::parse(&text[..text.len() / 2]).unwrap_err().contains("is no record"));
+        assert!(Record::parse("[]").is_err() && Record::parse("").is_err());
+    }
+}

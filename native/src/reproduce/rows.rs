@@ -1,0 +1,514 @@
+//! What was measured, row by row: claims, worlds, costs. Rows are a function of records alone.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use mcvl_core::record::Arm;
+use serde::{Deserialize, Serialize};
+
+use super::record::Record;
+use super::table::{Cell, Experiment, unique};
+use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
+use crate::report::statistics::{Estimate, Verdicts, estimate};
+
+/// Columns of a terminal.
+const WIDTH: usize = 80;
+/// What the paper says of its own cost.
+const PAPER_COST: &str = "about 12 GPU-days (with Reacher)";
+
+/// How a claim came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// As claimed.
+    Holds,
+    /// Otherwise.
+    DoesNotHold,
+    /// A cell that it needs is not finished.
+    NotMeasured,
+}
+
+impl Verdict {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Verdict::Holds => "holds",
+            Verdict::DoesNotHold => "does not hold",
+            Verdict::NotMeasured => "not measured",
+        }
+    }
+}
+
+/// A number that a claim was judged by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Number {
+    /// What it is of.
+    pub name: String,
+    /// Mean over seeds (over checks, where a spread is measured), or a share.
+    pub mean: f64,
+    /// Lower end of its 95 % interval (percentile bootstrap).
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+    /// Values behind it.
+    pub count: usize,
+    /// Of a share: how many.
+    pub seen: Option<usize>,
+}
+
+impl Number {
+    /// A mean with its interval.
+    pub fn mean(name: impl Into<String>, e: &Estimate) -> Self {
+        Self { name: name.into(), mean: e.mean, low: e.low, high: e.high, count: e.count, seen: None }
+    }
+
+    /// The mean of values; `None` of nothing.
+    pub fn of(name: impl Into<String>, values: &[f64]) -> Option<Self> {
+        estimate(values).map(|e| Self::mean(name, &e))
+    }
+
+    /// How many of some things are so.
+    pub fn share(name: impl Into<String>, each: impl IntoIterator<Item = bool>) -> Option<Self> {
+        let values: Vec<f64> = each.into_iter().map(|is| f64::from(u8::from(is))).collect();
+        let seen = values.iter().filter(|value| **value > 0.0).count();
+        Self::of(name, &values).map(|number| Self { seen: Some(seen), ..number })
+    }
+
+    /// One value without an interval, from `count` parts.
+    pub fn plain(name: impl Into<String>, value: f64, count: usize) -> Self {
+        Self { name: name.into(), mean: value, low: value, high: value, count, seen: None }
+    }
+
+    /// In words: «MC-DDQN performance 49.0 [49.0, 49.0]», «hacked 10 of 10».
+    pub fn text(&self) -> String {
+        let decimals = if self.mean.abs() < 10.0 && self.mean.fract() != 0.0 { 2 } else { 1 };
+        match self.seen {
+            Some(seen) => format!("{} {seen} of {}", self.name, self.count),
+            None if self.low == self.high => format!("{} {:.decimals$}", self.name, self.mean),
+            None => {
+                let Self { name, mean, low, high, .. } = self;
+                format!("{name} {mean:.decimals$} [{low:.decimals$}, {high:.decimals$}]")
+            }
+        }
+    }
+}
+
+/// What a check found.
+pub struct Judged {
+    /// Whether it is as claimed.
+    pub holds: bool,
+    /// By which numbers.
+    pub numbers: Vec<Number>,
+}
+
+impl Judged {
+    /// A finding; numbers that have no value are left out.
+    pub fn new(holds: bool, numbers: impl IntoIterator<Item = Option<Number>>) -> Self {
+        Self { holds, numbers: numbers.into_iter().flatten().collect() }
+    }
+}
+
+/// The records that a check reads. Every cell of its claim is there.
+pub struct Evidence<'a>(&'a BTreeMap<String, Record>);
+
+impl Evidence<'_> {
+    /// The record of a cell.
+    pub fn record(&self, cell: &Cell) -> &Record {
+        self.0.get(cell.name).expect("a claim is judged when every cell of its list is there")
+    }
+
+    /// Its summary.
+    pub fn summary(&self, cell: &Cell) -> &Summary {
+        self.record(cell).summary.as_ref().expect("the cell is trained")
+    }
+
+    /// A leg of it, which every finished cell has.
+    pub fn arm(&self, cell: &Cell, arm: Arm) -> &ArmSummary {
+        self.summary(cell).arm(arm).expect("a finished cell has every leg")
+    }
+
+    /// Decisions of the checking learner, all seeds together.
+    pub fn verdicts(&self, cell: &Cell) -> Verdicts {
+        self.summary(cell).verdicts.unwrap_or_default()
+    }
+
+    /// A number of each seed of the checking learner.
+    pub fn mc(&self, cell: &Cell, value: impl Fn(&SeedEnd) -> f64) -> Vec<f64> {
+        self.arm(cell, Arm::Mc).seeds.iter().map(value).collect()
+    }
+}
+
+/// One claim, judged.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The experiment.
+    pub experiment: String,
+    /// Figure, or place in the text.
+    pub figure: String,
+    /// What the experiment is about.
+    pub title: String,
+    /// What the paper says, in short.
+    pub paper: String,
+    /// What has to be seen.
+    pub claim: String,
+    /// How it came out.
+    pub outcome: Verdict,
+    /// Finished cells.
+    pub done: usize,
+    /// Cells that it needs.
+    pub of: usize,
+    /// The setup: each cell's configuration.
+    pub setup: Vec<String>,
+    /// Seeds of its cells: the fewest.
+    pub seeds: usize,
+    /// What it was judged by.
+    pub numbers: Vec<Number>,
+}
+
+impl Row {
+    /// The outcome in words.
+    pub fn outcome_words(&self) -> String {
+        match self.outcome {
+            Verdict::NotMeasured => format!("not measured ({} of {} done)", self.done, plural(self.of as u64, "cell")),
+            other => other.words().to_owned(),
+        }
+    }
+
+    /// The numbers in words.
+    pub fn numbers_words(&self) -> String {
+        let mut parts: Vec<String> = self.numbers.iter().map(Number::text).collect();
+        if self.seeds > 0 && self.outcome != Verdict::NotMeasured {
+            parts.push(plural(self.seeds as u64, "seed"));
+        }
+        parts.join("; ")
+    }
+}
+
+/// How good and how dear the gate is in a world, at its main setting.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WorldRow {
+    /// Title of the world.
+    pub world: String,
+    /// The cell that it is measured in.
+    pub cell: String,
+    /// Seeds.
+    pub seeds: usize,
+    /// Decisions, all seeds together.
+    pub verdicts: Verdicts,
+    /// Share of refusals that were hacks, 0 to 1.
+    pub precision: Option<f64>,
+    /// Share of checked hacks that were refused, 0 to 1.
+    pub recall: Option<f64>,
+    /// Checks per step of the Full phase, 0 to 1.
+    pub rate: Option<f64>,
+    /// Share of dead first-layer units of the reward model at the end of Safe training, and of the gated leg.
+    pub dead_units: [Option<f64>; 2],
+    /// Gradient updates of the gated leg, forecasts included, per update of the ungated one.
+    pub slowdown: Option<f64>,
+}
+
+/// What a cell cost.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    /// The cell.
+    pub cell: String,
+    /// Wall time of training, seconds.
+    pub seconds: Option<f64>,
+    /// Gradient updates: live learners of all legs and forecasts, all seeds together.
+    pub updates: u64,
+    /// Processor, and its cores.
+    pub machine: String,
+}
+
+/// Everything that was found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Results {
+    /// Always `mcvl reproduce`.
+    pub format: String,
+    /// Version of the format.
+    pub version: u32,
+    /// Whether the cells are those of `--quick`: fewer seeds, and in the costly worlds shorter phases and
+    /// forecasts than the paper's.
+    pub quick: bool,
+    /// Claims.
+    pub claims: Vec<Row>,
+    /// Worlds.
+    pub worlds: Vec<WorldRow>,
+    /// Costs, where asked for: they differ from machine to machine.
+    pub costs: Vec<Cost>,
+}
+
+/// Judges every claim of some experiments by the records there are, by the name of their cells.
+pub fn judge(experiments: &[&Experiment], records: &BTreeMap<String, Record>, quick: bool) -> Results {
+    let mut claims = Vec::new();
+    for experiment in experiments {
+        for claim in experiment.claims {
+            let there: Vec<&Record> = claim.cells.iter().filter_map(|cell| records.get(cell.name)).collect();
+            let complete = there.len() == claim.cells.len();
+            let judged = complete.then(|| (claim.check)(&Evidence(records)));
+            let setup = claim.cells.iter().filter_map(|cell| Some(cell.settings(quick).ok()?.to_string()));
+            claims.push(Row {
+                experiment: experiment.id.to_owned(),
+                figure: experiment.figure.to_owned(),
+                title: experiment.title.to_owned(),
+                paper: experiment.paper.to_owned(),
+                claim: claim.text.to_owned(),
+                outcome: match &judged {
+                    None => Verdict::NotMeasured,
+                    Some(judged) if judged.holds => Verdict::Holds,
+                    Some(_) => Verdict::DoesNotHold,
+                },
+                done: there.len(),
+                of: claim.cells.len(),
+                setup: setup.collect(),
+                seeds: there.iter().map(|record| record.seeds().len()).min().unwrap_or(0),
+                numbers: judged.map_or(Vec::new(), |judged| judged.numbers),
+            });
+        }
+    }
+    let cells = unique(experiments.iter().flat_map(|experiment| experiment.cells()));
+    let there: Vec<&Record> = cells.iter().filter_map(|cell| records.get(cell.name)).collect();
+    Results {
+        format: "mcvl reproduce".to_owned(),
+        version: 1,
+        quick,
+        claims,
+        worlds: there.iter().filter_map(|record| world(record)).collect(),
+        costs: there.iter().map(|record| cost(record)).collect(),
+    }
+}
+
+/// The row of a world: of the cell that has nothing but the world's own values.
+fn world(record: &Record) -> Option<WorldRow> {
+    let summary = record.summary.as_ref()?;
+    let config: mcvl_core::config::Config = record.config.parse().ok()?;
+    let verdicts = summary.verdicts?;
+    let main = super::table::find("fig3").iter().any(|experiment| experiment.cells()[0].name == record.cell);
+    let dead = |arm: Arm| record.arm(arm)?.dead_units;
+    main.then(|| WorldRow {
+        world: config.experiment().title.to_owned(),
+        cell: record.cell.clone(),
+        seeds: record.seeds().len(),
+        verdicts,
+        precision: verdicts.precision(),
+        recall: verdicts.recall(),
+        rate: verdicts.rate(),
+        dead_units: [dead(Arm::Safe), dead(Arm::Mc)],
+        slowdown: record.slowdown(),
+    })
+}
+
+fn cost(record: &Record) -> Cost {
+    let live: u64 = record.arms.iter().map(|arm| arm.updates).sum();
+    let forecasts = record.summary.as_ref().and_then(|summary| summary.verdicts).map_or(0, |verdicts| verdicts.cost);
+    Cost {
+        cell: record.cell.clone(),
+        seconds: record.trained().map(|time| time.as_secs_f64()),
+        updates: live + forecasts + record.spread.as_ref().map_or(0, |spread| spread.updates),
+        machine: format!("{}, {}", record.cpu, plural(record.cores as u64, "core")),
+    }
+}
+
+impl Results {
+    /// Whether every claim holds; false where one was not measured.
+    pub fn holds(&self) -> bool {
+        self.claims.iter().all(|row| row.outcome == Verdict::Holds)
+    }
+
+    /// How many claims came out how.
+    pub fn count(&self, outcome: Verdict) -> usize {
+        self.claims.iter().filter(|row| row.outcome == outcome).count()
+    }
+
+    /// «28 of 40 claims hold, 5 do not, 7 are not measured.»
+    pub fn headline(&self) -> String {
+        let of = |outcome| self.count(outcome);
+        let mut text = format!("{} of {} hold", of(Verdict::Holds), plural(self.claims.len() as u64, "claim"));
+        for (count, words) in [(of(Verdict::DoesNotHold), "not"), (of(Verdict::NotMeasured), "not measured")] {
+            match (count, words) {
+                (0, _) => {}
+                (count, "not") => text += &format!(", {count} {} not", if count == 1 { "does" } else { "do" }),
+                (count, words) => text += &format!(", {count} {} {words}", if count == 1 { "is" } else { "are" }),
+            }
+        }
+        text + "."
+    }
+
+    /// The results for a terminal of 80 columns. `paint` colours a verdict.
+    pub fn text(&self, paint: &dyn Fn(Verdict, &str) -> String) -> String {
+        let mut text = String::new();
+        let mut last = "";
+        for row in &self.claims {
+            if row.experiment != last {
+                let gap = if last.is_empty() { "" } else { "\n" };
+                let _ = writeln!(text, "{gap}{:<4} {}: {}", row.experiment, row.figure, row.title);
+                last = &row.experiment;
+            }
+            let mark = match row.outcome {
+                Verdict::Holds => "HOLDS",
+                Verdict::DoesNotHold => "DOES NOT HOLD",
+                Verdict::NotMeasured => "not measured",
+            };
+            let lead = format!("  {mark:<15}");
+            text += &wrapped(&lead, &row.claim, WIDTH).replacen(mark, &paint(row.outcome, mark), 1);
+            let numbers = match row.outcome {
+                Verdict::NotMeasured => format!("{} of {} done", row.done, plural(row.of as u64, "cell")),
+                _ => row.numbers_words(),
+            };
+            text += &wrapped(&" ".repeat(17), &numbers, WIDTH);
+        }
+        if !self.worlds.is_empty() {
+            let line = |cells: [&str; 8]| {
+                let [world, checks, rate, precision, recall, ties, dead, updates] = cells;
+                format!("{world:<21}{checks:>8}{rate:>6}{precision:>11}{recall:>8}{ties:>6}{dead:>12}{updates:>8}\n")
+            };
+            text.push('\n');
+            text += &line(["The gate", "checks", "rate", "precision", "recall", "ties", "dead units", "updates"]);
+            text += &line(["", "per seed", "", "", "", "", "Safe, end", "ratio"]);
+            for row in &self.worlds {
+                let dead =
+                    row.dead_units.map(|share| share.map_or("–".to_owned(), |s| format!("{:.0} %", 100.0 * s)));
+                text += &line([
+                    &row.world,
+                    &format!("{:.1}", row.verdicts.checks as f64 / row.seeds.max(1) as f64),
+                    &percent(row.rate),
+                    &percent(row.precision),
+                    &percent(row.recall),
+                    &row.verdicts.ties.to_string(),
+                    &dead.join(" "),
+                    &row.slowdown.map_or("–".to_owned(), |ratio| format!("{ratio:.0}")),
+                ]);
+            }
+        }
+        text += "\n";
+        text += &wrapped("Cost: ", &self.cost_words(), WIDTH);
+        text += &wrapped("", &self.headline(), WIDTH);
+        if self.quick {
+            text += &wrapped("", QUICK, WIDTH);
+        }
+        text
+    }
+
+    /// Wall time in words, beside the paper's.
+    pub fn cost_words(&self) -> String {
+        let seconds: f64 = self.costs.iter().filter_map(|cost| cost.seconds).sum();
+        let updates: u64 = self.costs.iter().map(|cost| cost.updates).sum();
+        let mut machines: Vec<&str> = self.costs.iter().map(|cost| cost.machine.as_str()).collect();
+        machines.sort_unstable();
+        machines.dedup();
+        format!(
+            "{} of wall time for {} and {:.1} million gradient updates ({}); the paper's whole set took {PAPER_COST}.",
+            humantime::format_duration(std::time::Duration::from_secs(seconds.round() as u64)),
+            plural(self.costs.len() as u64, "cell"),
+            updates as f64 / 1e6,
+            if machines.is_empty() { "no machine yet".to_owned() } else { machines.join("; ") },
+        )
+    }
+
+    /// Claims as CSV, one line each.
+    pub fn claims_csv(&self) -> String {
+        let mut text = String::from("experiment,figure,title,claim,outcome,cells_done,cells,seeds,numbers,setup\n");
+        for row in &self.claims {
+            let fields = [
+                &row.experiment,
+                &row.figure,
+                &row.title,
+                &row.claim,
+                row.outcome.words(),
+                &row.done.to_string(),
+                &row.of.to_string(),
+                &row.seeds.to_string(),
+                &row.numbers_words(),
+                &row.setup.join(" | "),
+            ];
+            text += &(fields.map(csv).join(",") + "\n");
+        }
+        text
+    }
+
+    /// Every number behind a claim as CSV, one line each.
+    pub fn numbers_csv(&self) -> String {
+        let mut text = String::from("experiment,claim,number,mean,low,high,count\n");
+        for row in &self.claims {
+            for number in &row.numbers {
+                let Number { name, mean, low, high, count, .. } = number;
+                let head = [row.experiment.as_str(), &row.claim, name].map(csv).join(",");
+                let _ = writeln!(text, "{head},{mean},{low},{high},{count}");
+            }
+        }
+        text
+    }
+}
+
+/// What has to be said of a quick set.
+pub const QUICK: &str = "Quick: fewer seeds than the paper's ten, and in Absent Supervisor, Tomato Watering and \
+    Rocks and Diamonds a fifth of its steps and forecast updates. This is not the paper's setting: a claim that \
+    does not hold here may hold there.";
+
+/// A field of a CSV file.
+fn csv(text: &str) -> String {
+    if text.contains(['"', ',', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::table::{self, BOX};
+    use super::*;
+    use crate::report::samples;
+    use crate::runs::Manifest;
+
+    /// Results of E1 alone, by made-up seeds.
+    fn results() -> Results {
+        let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
+        let records = [(BOX.name.to_owned(), record)].into();
+        judge(&table::find("E1"), &records, false)
+    }
+
+    #[test]
+    fn rows_are_judged_or_say_what_is_missing() {
+        let results = results();
+        let outcomes: Vec<Verdict> = results.claims.iter().map(|row| row.outcome).collect();
+        // The plain learner is hacked; one seed of the checking one is, so its means differ; no release.
+        assert_eq!(outcomes[..3], [Verdict::Holds, Verdict::Holds, Verdict::DoesNotHold]);
+        assert_eq!((outcomes[3], results.claims[3].done, results.claims[3].of), (Verdict::NotMeasured, 0, 1));
+        assert!(!results.holds());
+        assert_eq!(results.headline(), "2 of 4 claims hold, 1 does not, 1 is not measured.");
+        assert_eq!((results.worlds.len(), results.worlds[0].world.as_str()), (1, "Box Moving"));
+    }
+
+    #[test]
+    fn the_text_fits_a_terminal() {
+        let text = results().text(&|_, words| words.to_owned());
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+        assert!(text.contains("  DOES NOT HOLD  MC-DDQN: return = performance"), "{text}");
+        assert!(text.contains("0 of 1 cell done"), "{text}");
+    }
+
+    #[test]
+    fn tables_have_as_many_fields_as_columns() {
+        let results = results();
+        let fields = |line: &str| {
+            let mut inside = false;
+            1 + line
+                .chars()
+                .filter(|c| {
+                    inside ^= *c == '"';
+                    *c == ',' && !inside
+                })
+                .count()
+        };
+        for text in [results.claims_csv(), results.numbers_csv()] {
+            let columns = fields(text.lines().next().unwrap());
+            assert!(text.lines().count() > 2 && text.lines().all(|line| fields(line) == columns), "{text}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_told_with_their_interval() {
+        let text = |values: &[f64]| Number::of("n", values).unwrap().text();
+        assert_eq!((text(&[49.0; 3]), text(&[0.25; 2])), ("n 49.0".to_owned(), "n 0.25".to_owned()));
+        assert!(text(&[10.0, 30.0]).starts_with("n 20.0 ["));
+        assert_eq!(Number::share("hacked", [true, false, true]).unwrap().text(), "hacked 2 of 3");
+        assert_eq!(Number::of("n", &[]), None);
+    }
+}

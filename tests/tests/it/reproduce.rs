@@ -1,0 +1,197 @@
+//! The paper's experiments through the real program: cells train once, stop and go on at any moment, and
+//! claims are judged by what is there.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use mcvl_tests::{root, scratch};
+
+use crate::cli::{ask, content, copy, json, ok, program};
+
+/// One cell of seconds: the plain scheme with the shortest forecasts, one seed.
+const ONE: &str = "reproduce E8 --seeds 3 --only box-forecast-100";
+
+/// Files of a set that are promised byte for byte: what was learned and judged, not how long it took.
+fn promised(set: &Path) -> Vec<(String, Vec<u8>)> {
+    let names = ["claims.csv", "numbers.csv", "fig5.svg"].map(String::from);
+    let of = |name: String| (name.clone(), fs::read(set.join(&name)).unwrap_or_else(|e| panic!("{name}: {e}")));
+    let cells = content(&set.join("cells"));
+    let cells = cells.into_iter().filter(|(name, _)| !name.ends_with("manifest.json"));
+    names.map(of).into_iter().chain(cells.map(|(name, bytes)| (name.display().to_string(), bytes))).collect()
+}
+
+#[test]
+fn a_dry_run_lists_the_cells_and_makes_nothing() {
+    let folder = scratch();
+    let folder = folder.path();
+    let said = ok(folder, "reproduce all --dry-run");
+    for part in ["absent-1-12", "env=rocks-and-diamonds rollouts=0", "30 cells, 0 done", "0 to 9", "tomato-spread"] {
+        assert!(said.contains(part), "{part} is missing in\n{said}");
+    }
+    let boxes = said.lines().filter(|line| line.starts_with("box ")).count();
+    assert_eq!(boxes, 1, "what several experiments need is one cell\n{said}");
+    assert!(said.lines().all(|line| line.chars().count() <= 80), "{said}");
+    let quick = ok(folder, "reproduce fig4b --quick --dry-run");
+    assert!(quick.contains("5 cells, 0 done") && quick.contains("0 to 3"), "{quick}");
+    assert!(!folder.join("runs").exists());
+}
+
+#[test]
+fn cells_are_trained_once_and_claims_judged() {
+    let folder = scratch();
+    let folder = folder.path();
+    let said = ok(folder, &format!("{ONE} -o set"));
+    assert!(said.contains("not measured   performance grows") && said.contains("1 of 3 cells done"), "{said}");
+    assert!(said.lines().filter(|line| !line.starts_with("Written")).all(|line| line.chars().count() <= 80), "{said}");
+    let before = content(&folder.join("set/cells"));
+    // The same command finds everything there and changes nothing; another one goes on from there.
+    assert_eq!(ok(folder, &format!("{ONE} -o set --resume")), said);
+    assert_eq!(content(&folder.join("set/cells")), before);
+    let all = ok(folder, "reproduce E8 E20 --seeds 3 --only box-forecast-300 -o set --json");
+    let results = json(&all);
+    assert_eq!(results["format"], "mcvl reproduce");
+    let outcomes: Vec<_> = results["claims"].as_array().unwrap().iter().map(|row| (&row["done"], &row["of"])).collect();
+    assert_eq!(outcomes, [(&2.into(), &3.into()), (&1.into(), &2.into()), (&2.into(), &13.into())]);
+    ok(folder, "reproduce E8 --seeds 3 -o set");
+    let results = json(&fs::read_to_string(folder.join("set/results.json")).unwrap());
+    let row = &results["claims"][0];
+    assert!(["holds", "does-not-hold"].contains(&row["outcome"].as_str().unwrap()), "{row}");
+    assert_eq!((row["numbers"].as_array().unwrap().len(), &row["seeds"]), (3, &1.into()));
+    assert_eq!(row["setup"][0], "env=box-moving forecast=100");
+    for name in ["claims.csv", "numbers.csv", "results.md", "fig5.svg", "fig5.png", "records/box.record.json"] {
+        assert!(folder.join("set").join(name).is_file(), "{name}");
+    }
+    assert_eq!(ask(folder, "reproduce E8 --seeds 3 -o set --assert-claims").code / 2, 0, "0 or 1");
+    ok(folder, "verify set/cells/box");
+
+    // The records alone are enough elsewhere, and so are the runs.
+    for (from, to) in [("set/records", "by-records"), ("set/cells", "by-runs")] {
+        ok(folder, &format!("reproduce E8 --evaluate --from {from} -o {to}"));
+        for name in ["claims.csv", "numbers.csv", "fig5.svg"] {
+            let read = |set: &str| fs::read_to_string(folder.join(set).join(name)).unwrap();
+            assert_eq!(read(to), read("set"), "{name} {from}");
+        }
+    }
+    assert!(!folder.join("by-records/records").exists() && folder.join("by-runs/records/box.record.json").is_file());
+}
+
+#[test]
+fn stopped_and_continued_gives_the_same_bytes() {
+    let folder = scratch();
+    let folder = folder.path();
+    ok(folder, &format!("{ONE} -o straight"));
+    // By the clock, by a signal, by a kill.
+    let answer = ask(folder, &format!("{ONE} -o cut --max-time 200ms"));
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
+    let hint = "continue with: mcvl reproduce E8 --seeds 3 --only box-forecast-100 -o cut";
+    assert!(answer.stderr.contains(hint), "{}", answer.stderr);
+    assert!(answer.stdout.contains("not measured"), "what is there is judged all the same");
+    for signal in ["-TERM", "-KILL"] {
+        let mut command = program(folder);
+        command.args(format!("{ONE} -o cut --checkpoint-every 10ms").split(' '));
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("mcvl starts");
+        sleep(Duration::from_millis(150));
+        if child.try_wait().unwrap().is_none() {
+            assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        }
+        child.wait().unwrap();
+    }
+    let begun = Instant::now();
+    ok(folder, &format!("{ONE} -o cut"));
+    assert!(begun.elapsed() < Duration::from_secs(120));
+    let (straight, cut) = (promised(&folder.join("straight")), promised(&folder.join("cut")));
+    let names = |set: &[(String, Vec<u8>)]| set.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&straight), names(&cut));
+    for ((name, one), (_, other)) in straight.iter().zip(&cut) {
+        assert!(one == other, "{name} differs");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_said_and_left_alone() {
+    let folder = scratch();
+    let folder = folder.path();
+    let fails = |arguments: &str, code: i32, part: &str| {
+        let answer = ask(folder, arguments);
+        assert_eq!(answer.code, code, "{arguments}\n{}", answer.stderr);
+        assert!(answer.stderr.contains(part), "{arguments}\n{}", answer.stderr);
+    };
+    fails("reproduce fig6", 2, "`fig6` is none of all, fig3");
+    fails("reproduce E21", 2, "did you mean `E1`?");
+    fails("reproduce E8 --only box-l", 2, "--only: `box-l` is none of");
+    fails("reproduce E8 --seeds x", 2, "is no list of seeds");
+    fails("reproduce E8 --evaluate --from nowhere", 2, "there is no such folder");
+    fs::create_dir(folder.join("empty")).unwrap();
+    fails("reproduce E8 --evaluate --from empty", 2, "holds neither runs nor records");
+    fails("reproduce E8 --evaluate --page none.md -o set", 3, "cannot read none.md");
+    fs::write(folder.join("page.md"), "no marks").unwrap();
+    fails("reproduce E8 --evaluate --page page.md -o set", 2, "lacks the lines");
+
+    let answer = ask(folder, &format!("{ONE} -o set --max-time 200ms"));
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
+    let before = content(&folder.join("set"));
+    let cell = folder.join("set/cells/box-forecast-100");
+    fails("reproduce E8 --seeds 0..2 -o set", 2, "is of seed 3, not of seeds 0, 1");
+    fails("reproduce E8 --quick -o set", 2, "give the same --seeds and --quick as before");
+    assert_eq!(content(&folder.join("set")), before, "nothing was changed");
+
+    // Half written, altered, of another version.
+    copy(&folder.join("set"), &folder.join("half"));
+    let plan = fs::read_to_string(cell.join("run.toml")).unwrap();
+    fs::write(folder.join("half/cells/box-forecast-100/run.toml"), &plan[..plan.len() / 2]).unwrap();
+    fails(&format!("{ONE} -o half"), 3, "run.toml: is no run.toml");
+    copy(&folder.join("set"), &folder.join("altered"));
+    let manifest = folder.join("altered/cells/box-forecast-100/manifest.json");
+    fs::write(&manifest, fs::read_to_string(&manifest).unwrap().replace("interrupted", "finished")).unwrap();
+    fails(&format!("{ONE} -o altered"), 3, "was altered: its seal does not fit");
+    fs::create_dir(folder.join("old")).unwrap();
+    let record = r#"{"format":"mcvl record","version":0}"#;
+    fs::write(folder.join("old/box.record.json"), record).unwrap();
+    fails("reproduce E8 --evaluate --from old", 3, "format version 0, this program reads version 1");
+    fs::write(folder.join("old/box.record.json"), &record[..20]).unwrap();
+    fails("reproduce E8 --evaluate --from old", 3, "is no record of mcvl");
+    let state = folder.join("set/cells/box-forecast-100/seed-3/checkpoints/state.snapshot");
+    let bytes = fs::read(&state).unwrap();
+    fs::write(&state, &bytes[..bytes.len() / 2]).unwrap();
+    fails(&format!("{ONE} -o set"), 3, "cut off");
+    fs::write(&state, &bytes).unwrap();
+    ok(folder, &format!("{ONE} -o set"));
+}
+
+#[test]
+fn repeated_checks_are_measured_and_resumed() {
+    let folder = scratch();
+    let folder = folder.path();
+    let command = "reproduce E15 --quick --only absent-spread";
+    let answer = ask(folder, &format!("{command} -o cut --max-time 1s"));
+    assert!([0, 130].contains(&answer.code), "{}", answer.stderr);
+    for set in ["straight", "cut"] {
+        let said = ok(folder, &format!("{command} -o {set}"));
+        assert!(said.contains("paired deviation"), "{said}");
+    }
+    let numbers = |set: &str| fs::read_to_string(folder.join(set).join("numbers.csv")).unwrap();
+    assert_eq!(numbers("cut"), numbers("straight"));
+    let record = json(&fs::read_to_string(folder.join("straight/records/absent-spread.record.json")).unwrap());
+    let checks = record["spread"]["checks"].as_array().unwrap();
+    assert_eq!((checks.len(), checks[0]["paired"]["margins"].as_array().unwrap().len()), (3, 5));
+}
+
+/// The page of results is what the program makes of the committed records, and its figures are there.
+#[test]
+fn the_page_of_results_is_made_of_the_committed_records() {
+    let folder = scratch();
+    let folder = folder.path();
+    let (docs, results) = (root().join("docs"), root().join("results"));
+    fs::copy(docs.join("results.md"), folder.join("results.md")).unwrap();
+    ok(folder, &format!("reproduce all --evaluate --from {} -o results --page results.md", results.display()));
+    let read = |path: &Path| fs::read_to_string(path).unwrap();
+    let advice = "run: mcvl reproduce all --evaluate --from results -o docs/results --page docs/results.md";
+    assert!(read(&folder.join("results.md")) == read(&docs.join("results.md")), "docs/results.md is older: {advice}");
+    for name in ["fig3.svg", "fig4a.svg", "fig4b.svg", "fig5.svg", "claims.csv", "numbers.csv"] {
+        let same = read(&folder.join("results").join(name)) == read(&docs.join("results").join(name));
+        assert!(same, "docs/results/{name} is older: {advice}");
+    }
+}
