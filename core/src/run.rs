@@ -11,13 +11,17 @@ use serde::de::DeserializeOwned;
 
 use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
+#[cfg(feature = "continuous")]
 use crate::agent::td3::Td3;
 use crate::config::{Config, Learner, Simulator};
 use crate::digest::Digest;
+#[cfg(feature = "continuous")]
+use crate::env::BuiltIn;
 use crate::env::gridworld::Gridworld;
+#[cfg(feature = "continuous")]
 use crate::env::reacher::Reacher;
 use crate::env::trap::Trapped;
-use crate::env::{BuiltIn, EnvSpec, Environment, Frame};
+use crate::env::{EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
 use crate::play;
 use crate::record::{Arm, Recorder};
@@ -295,6 +299,7 @@ static FAMILIES: &[Family] = &[
             Box::new(if leg == Arm::Safe { safe } else { full })
         },
     },
+    #[cfg(feature = "continuous")]
     Family {
         names: &[<Reacher as BuiltIn>::NAME],
         begin: |config| {
@@ -392,10 +397,15 @@ pub(crate) fn world(config: &Config, leg: Arm) -> Box<dyn play::World> {
 }
 
 impl Run {
+    /// Whether this build of the crate has the world of a configuration, for runs and for [`Play`](play::Play).
+    pub fn offers(config: &Config) -> bool {
+        config.physics == Simulator::ClosedForm && Family::find(&config.env).is_some()
+    }
+
     /// A run from its beginning.
     ///
     /// # Panics
-    /// If the configuration is [`Config::custom`], or of a simulator that is not in this crate: such worlds go to
+    /// Unless [`Run::offers`] it: if the configuration is [`Config::custom`], or of a simulator that is not in this crate: such worlds go to
     /// a [`Trainer`] and to [`Run::of`].
     pub fn new(config: &Config) -> Self {
         assert_eq!(config.physics, Simulator::ClosedForm, "core has no other simulator");

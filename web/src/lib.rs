@@ -4,10 +4,10 @@
 //! page reads exactly what the native program writes to its logs.
 #![forbid(unsafe_code)]
 
-use mcvl_core::config::{Config, ConfigError, KEYS, Learner};
+use mcvl_core::config::{Config, ConfigError, KEYS, Learner, Preset};
 use mcvl_core::env::Discrete;
 use mcvl_core::exact;
-use mcvl_core::experiment::EXPERIMENTS;
+use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::play::Play;
 use mcvl_core::record::{Arm, Event};
 use mcvl_core::run::{Budget, Run, Status};
@@ -37,10 +37,11 @@ pub fn digests() -> String {
     text(&map)
 }
 
-/// The experiments as a JSON array: `name` (the value of `env`), `title`, `task` and `hack` in words.
+/// The experiments that run here as a JSON array: `name` (the value of `env`), `title`, `task` and `hack` in words.
 #[wasm_bindgen]
 pub fn experiments() -> String {
-    let rows = EXPERIMENTS.iter().map(|experiment| {
+    let here = |experiment: &&Experiment| Config::new(experiment.name, Preset::Paper).is_ok_and(|c| Run::offers(&c));
+    let rows = EXPERIMENTS.iter().filter(here).map(|experiment| {
         json!({
             "name": experiment.name,
             "title": experiment.title,
@@ -78,7 +79,7 @@ impl Handle {
     /// If the text is no configuration; the message says what would be.
     #[wasm_bindgen(constructor)]
     pub fn new(configuration: &str) -> Result<Handle, JsError> {
-        let config: Config = configuration.parse()?;
+        let config = offered(configuration)?;
         Ok(Self { run: Run::new(&config), events: Vec::new(), decisions: Vec::new() })
     }
 
@@ -205,7 +206,7 @@ impl Drive {
     /// If the text is no configuration; the message says what would be.
     #[wasm_bindgen(constructor)]
     pub fn new(configuration: &str) -> Result<Drive, JsError> {
-        let config: Config = configuration.parse()?;
+        let config = offered(configuration)?;
         Ok(Self { play: Play::new(&config, Arm::Baseline), config })
     }
 
@@ -254,6 +255,17 @@ impl Drive {
 }
 
 /// The learner of this name, by the rules of the configuration text.
+/// A configuration whose world runs here.
+fn offered(configuration: &str) -> Result<Config, JsError> {
+    let config: Config = configuration.parse()?;
+    if !Run::offers(&config) {
+        let env = &config.env;
+        let message = format!("env: {env} does not run on the page; `mcvl train {env}` trains it");
+        return Err(JsError::new(&message));
+    }
+    Ok(config)
+}
+
 fn learner(name: &str) -> Result<Learner, ConfigError> {
     let mut config: Config = "env=box-moving".parse()?;
     config.set("agent", name)?;
