@@ -197,7 +197,7 @@ const REACHER: Experiment = Experiment {
     variants: &["full", "release-button", "no-button"],
     cost: "days (preset small: minutes)",
     // Not measured yet; the release met no check in 8000 steps (specification, section 9).
-    check_rate: 0.0,
+    check_rate: 0.0004,
     paper: &[
         // There is no Safe world: the first leg is the random exploration that both learners share.
         Override { key: "safe_steps", value: "30000", source: "P table 3" },

@@ -14,7 +14,7 @@ use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::{self, Cell, Experiment, TARGETS};
 use mcvl::reproduce::{BEGIN, END, QUICK, RECORD_SUFFIX, Record, Results, Verdict, judge, markdown, put};
 use mcvl::runs::{Lock, Manifest, Plan, RunDir, RunSet, RunsError, State, write_atomic};
-use mcvl_core::config::{Config, Learner, expected_one_of};
+use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
 use serde::{Deserialize, Serialize};
 
 use super::progress::Style;
@@ -533,7 +533,9 @@ fn lend(
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
     // Whose seeds were asked for by name is content with no others.
     let fits = |config: &Config, seeds: &[u64], spread: bool| {
-        let bare = |config: &Config| config.with_seed(0).with_agent(Learner::Mc);
+        // The simulators agree to far below what a policy does: either stands for the other.
+        let bare =
+            |config: &Config| Config { physics: Simulator::ClosedForm, ..config.with_seed(0).with_agent(Learner::Mc) };
         let same = |wanted: &&Wanted| {
             bare(&wanted.plan.config) == bare(config)
                 && wanted.cell.repeats.is_some() == spread

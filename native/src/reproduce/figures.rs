@@ -45,6 +45,11 @@ pub static DRAWINGS: &[Drawing] = &[
         ],
     },
     Drawing {
+        name: "fig3e",
+        title: "Figure 3e: TD3 and MC-TD3 in Reacher, preset small",
+        rows: &[Rows { title: "(e) Reacher", main: &REACHER, shared: true, curves: &[(&REACHER, MC, 2)] }],
+    },
+    Drawing {
         name: "fig4a",
         title: "Figure 4a: schemes in Box Moving",
         rows: &[Rows {

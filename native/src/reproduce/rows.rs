@@ -283,7 +283,10 @@ fn world(record: &Record) -> Option<WorldRow> {
     let summary = record.summary.as_ref()?;
     let config: mcvl_core::config::Config = record.config.parse().ok()?;
     let verdicts = summary.verdicts?;
-    let main = super::table::find("fig3").iter().any(|experiment| experiment.cells()[0].name == record.cell);
+    let main = ["fig3", "fig3e"]
+        .iter()
+        .flat_map(|target| super::table::find(target))
+        .any(|experiment| experiment.cells()[0].name == record.cell);
     let dead = |arm: Arm| record.arm(arm)?.dead_units;
     main.then(|| WorldRow {
         world: config.experiment().title.to_owned(),
