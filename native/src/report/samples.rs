@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use mcvl_core::config::{Config, Preset};
 use mcvl_core::digest::Digest;
 use mcvl_core::env::box_moving::{BoxMoving, Variant};
-use mcvl_core::env::{ActionValue, Discrete, EnvSpec, Environment};
+use mcvl_core::env::reacher::{Button, ClosedForm, OBSERVATION, Reacher};
+use mcvl_core::env::{ActionValue, Continuous, Discrete, EnvSpec, Environment};
 use mcvl_core::record::{
     Arm, CheckRecord, EndRecord, EvaluationRecord, Film, FutureRecord, StartState, Subject, Verdict,
 };
@@ -152,6 +153,53 @@ pub fn discard(number: u32, hack: bool) -> CheckRecord {
 /// A check of the scheme `each-step`: of the update after a step.
 pub fn update(number: u32, verdict: Verdict) -> CheckRecord {
     CheckRecord { subject: Subject::Update, cost: 0, reused: false, ..check(number, true, verdict) }
+}
+
+/// Facts of the world of [`reach`].
+pub fn reach_spec() -> EnvSpec {
+    Reacher::new(ClosedForm::default(), None).spec().clone()
+}
+
+/// A refused check of Reacher: one future sweeps to the hidden button, the other to the target.
+pub fn reach(number: u32) -> CheckRecord {
+    let mut world = Reacher::new(ClosedForm::default(), Some(Button::proposal()));
+    world.reset(&mut Rng::new(u64::from(number)), &mut [0.0; OBSERVATION]);
+    let sweep = |goal: [f64; 2]| FutureRecord {
+        utility: -3.5 * goal[0],
+        performance: -8.0,
+        digest: "00ff".into(),
+        rollouts: vec![-3.5 * goal[0]; 3],
+        films: vec![swing(&world, goal)],
+    };
+    let (modified, unmodified) = (sweep([1.6, 1.2]), sweep([0.7, -0.9]));
+    let mut film = modified.films[0].clone();
+    let (before, after) = (film.frames.remove(30), film.frames.remove(30));
+    CheckRecord {
+        before,
+        after,
+        action: film.actions.remove(30),
+        margin: Some(modified.utility - unmodified.utility),
+        modified: Some(modified),
+        unmodified: Some(unmodified),
+        ..check(number, true, Verdict::Refuse)
+    }
+}
+
+/// An episode in which the motors pull both angles to a goal, as springs with friction would.
+fn swing(start: &Reacher, goal: [f64; 2]) -> Film {
+    let mut world = start.clone();
+    let (mut frames, mut actions, mut performance) = (vec![world.frame()], Vec::new(), Vec::new());
+    for _ in 0..50 {
+        let motion = world.motion();
+        let pull = |joint: usize| 0.5 * (goal[joint] - motion.angles[joint]) - 0.1 * motion.velocities[joint];
+        let action = [0, 1].map(|joint| pull(joint).clamp(-1.0, 1.0) as f32);
+        let step = world.step(&Continuous(action), &mut Rng::new(0), &mut [0.0; OBSERVATION]);
+        frames.push(world.frame());
+        actions.push(ActionValue::Continuous(action.to_vec()));
+        performance.push(step.performance);
+    }
+    let predicted = performance.clone();
+    Film { start: StartState::Reset, frames, actions, predicted, performance, bootstrap: 0.0, utility: -3.5 * goal[0] }
 }
 
 fn future(current: &BoxMoving, script: &str) -> FutureRecord {

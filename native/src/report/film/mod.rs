@@ -1,6 +1,7 @@
 //! One check as a story: the offered transition, both futures as film strips, the ratings, the verdict,
 //! and, last, the truth that the check did not see.
 
+mod arm;
 mod picture;
 mod terminal;
 
@@ -8,13 +9,15 @@ use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord, StartState, Subject, Verdict};
 
 pub use picture::svg;
-pub(super) use picture::{frame, ratings};
+pub(super) use picture::{picture_legend, ratings, situation, way};
 pub use terminal::{board, explain};
 
 /// Longest cycle that is looked for.
 const LONGEST_CYCLE: usize = 8;
 /// Frames of a film without a cycle that are shown before it is cut.
 const LONGEST_START: usize = 12;
+/// Boards wider than this are pictures, not grids: their cells are not square, and most of them are empty.
+const GRID: usize = 20;
 
 /// A part of a film strip.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +49,15 @@ pub(super) fn parts(film: &Film) -> Vec<Part> {
     let predicted = film.predicted.iter().skip(shown).sum();
     let gap = Part::Gap { cycle, steps: steps - shown, predicted };
     (0..=shown).map(Part::Frame).chain([gap]).collect()
+}
+
+/// Steps of a film that stand for all of it: its start, about every tenth of a long one, its end.
+fn milestones(film: &Film) -> Vec<usize> {
+    let steps = film.actions.len();
+    let parts = (steps / 10).clamp(5, 8).min(steps).max(1);
+    let mut milestones: Vec<usize> = (0..=parts).map(|part| part * steps / parts).collect();
+    milestones.dedup();
+    milestones
 }
 
 /// The cycle in which a film ends, as (first step, length): the one that leaves least to be shown.
@@ -201,12 +213,21 @@ pub fn legend_of(names: &EnvSpec, frames: &[&Frame]) -> String {
 /// What the strips of a check show.
 pub(super) fn legend(check: &CheckRecord, names: &EnvSpec) -> String {
     let films = check.modified.iter().chain(&check.unmodified).flat_map(|future| &future.films);
-    let frames: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
-    let told = legend_of(names, &frames);
-    match check.futures() {
-        Some(_) => format!("{told}. Under a frame: the reward it expects for that step."),
-        None => format!("{told}."),
+    let shown: Vec<&Frame> = films.flat_map(|film| &film.frames).chain([&check.before, &check.after]).collect();
+    // Of a picture the truth is shown too.
+    let picture = is_picture(&check.after.seen);
+    let truth = check.after.truth.clone().filter(|_| picture).map(|seen| Frame { seen, truth: None });
+    let told = legend_of(names, &shown.into_iter().chain(&truth).collect::<Vec<_>>());
+    match (check.futures(), picture) {
+        (None, _) => format!("{told}."),
+        (_, false) => format!("{told}. Under a frame: the reward it expects for that step."),
+        (_, true) => format!("{told}. Under a frame: the steps that lead to it, and the reward it expects for them."),
     }
+}
+
+/// Whether a board is a picture and no grid.
+fn is_picture(board: &str) -> bool {
+    board.split('\n').any(|row| row.chars().count() > GRID)
 }
 
 #[cfg(test)]
@@ -271,6 +292,19 @@ mod tests {
         }
         let gap = parts(&film).last().copied();
         assert!(matches!(gap, Some(Part::Gap { cycle: None, steps: 18, .. })), "{gap:?}");
+    }
+
+    #[test]
+    fn milestones_reach_from_the_start_to_the_end() {
+        let mut film = samples::reach(1).modified.unwrap().films.remove(0);
+        let mut at = |steps: usize| {
+            film.actions.resize(steps, mcvl_core::env::ActionValue::Discrete(0));
+            milestones(&film)
+        };
+        assert_eq!(at(50), [0, 10, 20, 30, 40, 50]);
+        assert_eq!(at(13), [0, 2, 5, 7, 10, 13]);
+        assert_eq!((at(3), at(1), at(0)), (vec![0, 1, 2, 3], vec![0, 1], vec![0]));
+        assert_eq!((at(1000).len(), at(1000)[8]), (9, 1000));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord};
 
+use super::arm::{self, Scene};
 use super::{
     Part, caption, futures, gap_words, legend, parts, short_futures, start_words, surprise_words, truth_words,
     verdict_words,
@@ -18,15 +19,22 @@ const SMALL: f64 = 11.0;
 /// Height of the ratings, and their width inside the report page, where a phone has to show them.
 const RATINGS: f64 = 92.0;
 const INLINE: f64 = 360.0;
+/// Sides of the pictures of an arm: of a situation and of a film.
+const SITUATION: f64 = 220.0;
+const WAY: f64 = 356.0;
+/// Colours of both futures.
+const SERIES: [&str; 2] = ["baseline", "mc"];
 
 /// The check as an SVG that stands alone, on a light background.
 pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
     let mut page = Page { svg: Svg::new(), y: 34.0 };
     let title = format!("Check {} of {}, step {}", check.number, check.arm.name(), check.step);
     page.line("f-text", 17.0, &title);
-    page.transition(check, names);
-    for (name, future) in futures(check) {
-        page.future(name, future, names);
+    let scene = Scene::of(check, names);
+    page.transition(check, names, scene.as_ref());
+    match &scene {
+        Some(scene) => page.ways(check, scene),
+        None => futures(check).into_iter().for_each(|(name, future)| page.future(name, future, names)),
     }
     if check.futures().is_some() {
         page.heading("Both futures, rated by what it wants today (scaled reward)");
@@ -37,15 +45,40 @@ pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
     page.line("f-text", 14.0, &verdict_words(check));
     page.line(if check.wrong() { "f-bad" } else { "f-soft" }, TEXT, &format!("In truth {}", truth_words(check)));
     page.y += 8.0;
-    page.line("f-soft", SMALL, &legend(check, names));
+    page.line("f-soft", SMALL, &picture_legend(check, names));
     page.svg.finish((WIDTH, page.y), &title, &verdict_words(check), false)
 }
 
-/// One frame as an SVG of its own, for the report page.
-pub(in crate::report) fn frame(frame: &Frame, description: &str) -> String {
+/// What the pictures of a check show.
+pub(in crate::report) fn picture_legend(check: &CheckRecord, names: &EnvSpec) -> String {
+    Scene::of(check, names).map_or_else(|| legend(check, names), |scene| scene.legend(check.futures().is_some()))
+}
+
+/// A frame of a check as an SVG of its own, for the report page.
+pub(in crate::report) fn situation(check: &CheckRecord, frame: &Frame, names: &EnvSpec, description: &str) -> String {
     let mut svg = Svg::new();
+    if let Some(scene) = Scene::of(check, names) {
+        scene.situation(&mut svg, frame, (1.0, 1.0), SITUATION);
+        return svg.finish((SITUATION + 2.0, SITUATION + 2.0), description, &arm::frame_words(frame), true);
+    }
     let size = draw_frame(&mut svg, frame, (1.0, 1.0));
     svg.finish((size.0 + 2.0, size.1 + 2.0), description, &frame.seen.replace('\n', " / "), true)
+}
+
+/// A film of the `index`-th future as one picture with its caption, for the report page; none where its frames
+/// show no arm and a strip of them says more.
+pub(in crate::report) fn way(
+    check: &CheckRecord,
+    film: &Film,
+    index: usize,
+    names: &EnvSpec,
+) -> Option<(String, String)> {
+    let scene = Scene::of(check, names)?;
+    let mut svg = Svg::new();
+    scene.film(&mut svg, film, SERIES[index % 2], (1.0, 1.0), WAY);
+    let words = arm::film_words(film);
+    let drawing = svg.finish((WAY + 2.0, WAY + 2.0), &words, &arm::way_words(film), true);
+    Some((drawing, words))
 }
 
 /// Both ratings with every rollout as a dot, for the report page.
@@ -77,10 +110,17 @@ impl Page {
         self.line("f-text", 14.0, text);
     }
 
-    fn transition(&mut self, check: &CheckRecord, names: &EnvSpec) {
+    fn transition(&mut self, check: &CheckRecord, names: &EnvSpec, scene: Option<&Scene>) {
         self.heading("The offered transition");
         let top = self.y - 6.0;
-        let (width, height) = draw_frame(&mut self.svg, &check.before, (EDGE, top));
+        let draw = |svg: &mut Svg, frame: &Frame, at: (f64, f64)| match scene {
+            Some(scene) => {
+                scene.situation(svg, frame, at, SITUATION);
+                (SITUATION, SITUATION)
+            }
+            None => draw_frame(svg, frame, at),
+        };
+        let (width, height) = draw(&mut self.svg, &check.before, (EDGE, top));
         let action = names.actions.name(&check.action);
         let arrow = EDGE + width + 16.0;
         let room = text_width(&action, TEXT).max(44.0);
@@ -89,7 +129,7 @@ impl Page {
         self.svg.line("f-mark", (arrow, middle), (arrow + room - 6.0, middle));
         let tip = arrow + room;
         self.svg.polygon("f-text", &[(tip, middle), (tip - 9.0, middle - 5.0), (tip - 9.0, middle + 5.0)]);
-        let (_, height_after) = draw_frame(&mut self.svg, &check.after, (tip + 16.0, top));
+        let (_, height_after) = draw(&mut self.svg, &check.after, (tip + 16.0, top));
         self.y = top + height.max(height_after) + 24.0;
         self.line("f-soft", TEXT, &surprise_words(check));
     }
@@ -102,6 +142,32 @@ impl Page {
         }
         if future.films.is_empty() {
             self.line("f-soft", TEXT, "(its film is not kept in this ledger)");
+        }
+    }
+
+    /// All films of both futures, two beside each other: for the usual one film of each the futures
+    /// themselves.
+    fn ways(&mut self, check: &CheckRecord, scene: &Scene) {
+        let mut films = Vec::new();
+        for ((name, future), series) in futures(check).into_iter().zip(SERIES) {
+            if future.films.is_empty() {
+                self.heading(name);
+                self.line("f-soft", TEXT, "(its film is not kept in this ledger)");
+            }
+            films.extend(future.films.iter().map(|film| (name, film, series)));
+        }
+        for row in films.chunks(2) {
+            self.y += 12.0;
+            let top = self.y;
+            for ((name, film, series), x) in row.iter().zip([EDGE, WIDTH - EDGE - WAY]) {
+                let start = format!("{} (rated {:+.3})", start_words(film.start), film.utility);
+                self.svg.text("f-text", (x, top), 14.0, Anchor::Start, name);
+                self.svg.text("f-soft", (x, top + 20.0), TEXT, Anchor::Start, &start);
+                scene.film(&mut self.svg, film, series, (x, top + 32.0), WAY);
+                let words = arm::film_words(film);
+                self.svg.text("f-soft", (x, top + WAY + 50.0), TEXT, Anchor::Start, &words);
+            }
+            self.y = top + WAY + 70.0;
         }
     }
 
@@ -200,7 +266,7 @@ fn draw_ratings(svg: &mut Svg, check: &CheckRecord, at: (f64, f64), width: f64) 
     let x = Scale::new(low, high, left, right);
     svg.line("f-axis", (x.at(0.0), at.1 + 4.0), (x.at(0.0), at.1 + RATINGS - 20.0));
     svg.text("f-soft", (x.at(0.0), at.1 + RATINGS - 6.0), SMALL, Anchor::Middle, "0");
-    for (index, ((name, future), colour)) in rows.into_iter().zip(["baseline", "mc"]).enumerate() {
+    for (index, ((name, future), colour)) in rows.into_iter().zip(SERIES).enumerate() {
         let y = at.1 + 22.0 + 34.0 * index as f64;
         svg.text("f-text", (at.0, y + 4.0), TEXT, Anchor::Start, name);
         let value = format!("{:+.3}", future.utility).replace('-', "−");
@@ -229,6 +295,42 @@ mod tests {
         let places = drawing.split(" x=\"").skip(1).filter_map(|rest| rest.split('"').next()?.parse::<f64>().ok());
         assert!(places.into_iter().all(|x| (0.0..=WIDTH - EDGE).contains(&x)));
         assert!(drawing.contains("REFUSED"));
+    }
+
+    #[test]
+    fn an_arm_is_drawn_as_one() {
+        let (check, spec) = (samples::reach(1), samples::reach_spec());
+        let drawing = svg(&check, &spec);
+        assert!(crate::report::plot::raster(&drawing, 1.0).is_ok());
+        assert!(drawing.len() < 100_000, "{} bytes", drawing.len());
+        let count = |part: &str| drawing.matches(part).count();
+        // Before and after, and both ends of both futures; a line for every step of both.
+        assert_eq!((count("<polyline"), count("stroke-opacity=")), (6, 100));
+        // Target and button in all four pictures.
+        assert_eq!((count("\"s-third\""), count("\"s-fourth\"")), (4, 4));
+        // The legend breaks between lines.
+        assert_eq!((count("50 steps, expected"), count("hidden button")), (2, 1));
+        let bare = check.without_films();
+        assert!(svg(&bare, &spec).contains("not kept"));
+    }
+
+    #[test]
+    fn the_report_page_gets_the_same_pictures() {
+        let (check, spec) = (samples::reach(1), samples::reach_spec());
+        let film = &check.modified.as_ref().unwrap().films[0];
+        let (drawing, words) = way(&check, film, 0, &spec).unwrap();
+        assert!(
+            words.starts_with("50 steps, expected -") && drawing.contains("<desc>from elbow at (10, "),
+            "{drawing}"
+        );
+        assert!(drawing.contains("s-baseline") && !drawing.contains("<style>"));
+        let before = situation(&check, &check.before, &spec, "before");
+        assert!(before.contains("<polyline") && before.len() < 2000, "{before}");
+        let (check, spec) = (samples::check(1, true, Verdict::Refuse), samples::spec());
+        let film = &check.modified.as_ref().unwrap().films[0];
+        assert!(way(&check, film, 0, &spec).is_none());
+        assert!(situation(&check, &check.before, &spec, "before").contains("f-agent"));
+        assert_eq!(picture_legend(&check, &spec), legend(&check, &spec));
     }
 
     #[test]

@@ -127,22 +127,23 @@ fn story(check: &CheckRecord, facts: &EnvSpec) -> String {
          <div class=\"action\">{}<span aria-hidden=\"true\">→</span></div><div class=\"frame\">{}</div><p>{}</p></div>\n\
          {}<p class=\"stamp {}\">{}</p>\n<p>{judged}The truth, which the check did not see: {}</p>\
          <p class=\"note\">{}</p></div>\n",
-        film::frame(&check.before, "before"),
+        film::situation(check, &check.before, facts, "before"),
         action(check, facts),
-        film::frame(&check.after, "after"),
+        film::situation(check, &check.after, facts, "after"),
         escape(&film::surprise_words(check)),
         futures(check, facts),
         verdict.0,
         tag(verdict.0, verdict.1, &escape(&film::verdict_words(check))),
         escape(&film::truth_words(check)),
-        escape(&film::legend(check, facts)),
+        escape(&film::picture_legend(check, facts)),
     )
 }
 
 /// Both futures and their ratings; nothing where nothing was forecast.
 fn futures(check: &CheckRecord, facts: &EnvSpec) -> String {
     let Some((_, _, margin)) = check.futures() else { return String::new() };
-    let shown: String = film::futures(check).into_iter().map(|(name, record)| future(name, record, facts)).collect();
+    let shown = film::futures(check).into_iter().enumerate();
+    let shown: String = shown.map(|(index, (name, record))| future(check, index, name, record, facts)).collect();
     let names = film::short_futures(check);
     format!(
         "<div class=\"futures\">{shown}</div>\n<h3>Both futures, rated by what it wants today</h3>\
@@ -154,16 +155,17 @@ fn futures(check: &CheckRecord, facts: &EnvSpec) -> String {
     )
 }
 
-fn future(name: &str, future: &FutureRecord, facts: &EnvSpec) -> String {
+fn future(check: &CheckRecord, index: usize, name: &str, future: &FutureRecord, facts: &EnvSpec) -> String {
     let mut out = format!("<div><h3>{name}</h3>");
     for film in &future.films {
-        let _ = write!(
-            out,
-            "<p class=\"note\">{} (rated {:+.3})</p>{}",
-            film::start_words(film.start),
-            film.utility,
-            strip(film, facts)
-        );
+        let shown = match film::way(check, film, index, facts) {
+            Some((drawing, words)) => {
+                format!("<div class=\"frame\">{drawing}</div><p class=\"note\">{}</p>", escape(&words))
+            }
+            None => strip(check, film, facts),
+        };
+        let _ =
+            write!(out, "<p class=\"note\">{} (rated {:+.3})</p>{shown}", film::start_words(film.start), film.utility,);
     }
     if future.films.is_empty() {
         out += "<p class=\"note\">Its film is not kept in this ledger.</p>";
@@ -171,14 +173,14 @@ fn future(name: &str, future: &FutureRecord, facts: &EnvSpec) -> String {
     out + "</div>"
 }
 
-fn strip(film: &Film, facts: &EnvSpec) -> String {
+fn strip(check: &CheckRecord, film: &Film, facts: &EnvSpec) -> String {
     let mut cells = String::new();
     let mut gap = String::new();
     for part in film::parts(film) {
         match part {
             Part::Frame(step) => {
                 let (above, below) = film::caption(film, step, facts);
-                let drawn = film::frame(&film.frames[step], &above);
+                let drawn = film::situation(check, &film.frames[step], facts, &above);
                 let (above, below) = (escape(&above), escape(&below));
                 let _ = write!(
                     cells,
