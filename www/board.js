@@ -1,5 +1,5 @@
-// Draws a situation of any gridworld from its characters, and the legend that explains them.
-import { make, signed } from "./dom.js";
+// Draws a situation of any gridworld, or of an arm, from its characters, and the legend that explains them.
+import { make, number, signed, svg } from "./dom.js";
 
 /** Sign and class of well-known characters; any other is drawn as it is. The classes have pictures. */
 const CELLS = {
@@ -24,6 +24,18 @@ const CELLS = {
   q: ["", "lever gem"],
   Q: ["", "lever high gem"],
 };
+/** The same in the picture of an arm: only there is a fingertip, `X`. */
+const ARM = {
+  O: ["■", ""],
+  o: ["●", ""],
+  "#": ["━", ""],
+  "=": ["─", ""],
+  X: ["●", "tip"],
+  T: ["◯", "ring"],
+  "+": ["◌", "fake"],
+};
+/** Metres across the drawing of an arm. */
+export const SPAN = 0.48;
 /** Where there are rocks or diamonds, `P` is their switch. */
 const HIGH = ["", "lever high"];
 const OUTSIDE = ["", "outside"];
@@ -54,6 +66,7 @@ function rows(frame, picture) {
 
 /** Sign and class of a character among all others. */
 function look(character, all) {
+  if (all.includes("X")) return ARM[character];
   if (character === "P" && /[RD]/.test(all)) return HIGH;
   return CELLS[character] ?? [character, ""];
 }
@@ -74,6 +87,7 @@ export function looks(shown) {
 export function draw(target, frame, picture, other) {
   const shown = rows(frame, picture);
   const all = shown.join("");
+  if (all.includes("X")) return drawArm(target, pose(shown), other && pose(rows(other, picture)));
   const compared = other ? rows(other, picture).join("") : null;
   target.setAttribute("aria-label", `The world, row by row: ${shown.join(", ")}`);
   target.style.setProperty("--columns", shown[0].length);
@@ -85,6 +99,46 @@ export function draw(target, frame, picture, other) {
       return make("div", shown, `cell ${kind} ${differs ? "differs" : ""} ${trapped ? "trapped" : ""}`);
     }),
   );
+}
+
+/** Draws an arm where its elbow, tip, target and button are, in metres from its shoulder; another one beside it, pale. */
+export function drawArm(target, { elbow, tip, target: goal, button }, other) {
+  const link = (kind, ...ends) => svg("polyline", { class: kind, points: ends.join(" ") });
+  const disc = (kind, [cx, cy], r) => svg("circle", { class: kind, cx, cy, r });
+  const parts = [
+    disc("reach", [0, 0], 0.21),
+    ...(other ? [link("ghost", [0, 0], other.elbow, other.tip)] : []),
+    ...(button ? [disc("pays", button.centre, button.radius)] : []),
+    disc("ring", goal, 0.012),
+    link("upper", [0, 0], elbow),
+    link("", elbow, tip),
+    disc("", elbow, 0.005),
+    disc("tip", tip, 0.009),
+    svg("path", { class: "upper", d: "M-.01-.01h.02v.02h-.02z" }),
+  ];
+  const view = [-SPAN / 2, -SPAN / 2, SPAN, SPAN].join(" ");
+  target.replaceChildren(svg("svg", { viewBox: view, class: "plane" }, svg("g", { transform: "scale(1 -1)" }, ...parts)));
+  const at = (point) => point.map((part) => number(100 * part, 0)).join(" right, ");
+  const hidden = button ? `, the hidden button at ${at(button.centre)} up` : "";
+  target.setAttribute("aria-label", `An arm, in centimetres from its shoulder: fingertip at ${at(tip)} up, target at ${at(goal)} up${hidden}`);
+}
+
+/** Where things are in the picture of an arm: 1 cm per column, 2 cm per row, the shoulder in the middle. */
+function pose(shown) {
+  const places = (character) =>
+    shown.flatMap((row, y) =>
+      [...row].flatMap((found, x) => (found === character ? [[(x - (row.length >> 1)) / 100, ((shown.length >> 1) - y) / 50]] : [])),
+    );
+  const [tip] = places("X");
+  const [target = tip] = places("T");
+  // Under another sign: the upper arm has 10 cm.
+  const off = ([x, y]) => Math.abs(Math.hypot(x, y) - 0.1);
+  const [elbow = off(tip) < off(target) ? tip : target] = places("o");
+  const pays = places("+");
+  const ends = [0, 1].map((axis) => pays.map((place) => place[axis])).map((all) => [Math.min(...all), Math.max(...all)]);
+  const [[low, high]] = ends;
+  const button = pays.length > 0 && { centre: ends.map(([from, to]) => (from + to) / 2), radius: (high - low) / 2 + 0.01 };
+  return { elbow, tip, target, button };
 }
 
 /** Entries of the legend, from the world's own words. */

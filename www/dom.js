@@ -26,6 +26,12 @@ export const signed = (value, digits = 2) => {
 /** Decimals with which rewards of a world of this scale are told apart. */
 export const decimals = (scale) => Math.max(1, 1 + Math.ceil(Math.log10(scale)));
 
+/** An action in words: what an agent does, or the torques of an arm. */
+export const deed = ({ actions }, action, verb = "") =>
+  Array.isArray(action)
+    ? action.map((torque, index) => `${actions.continuous?.names[index] ?? "torque"} ${signed(torque)}`).join(", ")
+    : verb + (actions.discrete?.[action] ?? `action ${action}`);
+
 /** An element with text. */
 export function make(name, text = "", className = "") {
   const made = document.createElement(name);

@@ -1,6 +1,6 @@
 // Plays the films of two futures synchronously: same start, same length, one scrubber.
 import { board, draw } from "./board.js";
-import { element, signed } from "./dom.js";
+import { deed, element, signed } from "./dom.js";
 
 /** Time of a step at speed 1, milliseconds. */
 const BEAT = 420;
@@ -132,7 +132,6 @@ export function player(touched, stopped) {
 function caption(film, frame, world) {
   if (frame === 0) return film.start === "reset" ? "a fresh episode" : "right after the step";
   if (frame > film.actions.length) return "the episode is over";
-  const action = world.actions.discrete[film.actions[frame - 1]] ?? `action ${film.actions[frame - 1]}`;
   const predicted = film.predicted[frame - 1] / world.reward_scale;
-  return `goes ${action}, today’s model expects ${signed(predicted, 1)}`;
+  return `${deed(world, film.actions[frame - 1], "goes ")}, today’s model expects ${signed(predicted, 1)}`;
 }

@@ -1,7 +1,7 @@
 // One moment of decision: what happened, the two futures it could lead to, how both are rated, the verdict.
 // It is told in stages; those to come keep their place, so that nothing jumps.
 import { board, draw } from "./board.js";
-import { decimals, element, make, narrow, number, say, signed, svg } from "./dom.js";
+import { decimals, deed, element, make, narrow, number, say, signed, svg } from "./dom.js";
 
 const STAGES = [
   "How it goes on if nothing happens",
@@ -126,12 +126,11 @@ function training(check) {
 
 /** What happened, and why it was checked. */
 function transition(check, world) {
-  const action = world.actions.discrete[check.action] ?? `action ${check.action}`;
   const raw = (scaled) => number(scaled / world.reward_scale, 2);
   const digits = decimals(world.reward_scale);
   const predicted = check.predicted / world.reward_scale;
   element("moment-name").textContent = `Check ${check.number}, step ${check.step} of the new world`;
-  element("action").textContent = `goes ${action}`;
+  element("action").textContent = deed(world, check.action, "goes ");
   element("expected").textContent = signed(predicted, digits);
   element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;

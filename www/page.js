@@ -100,7 +100,7 @@ function clear() {
   clearTimeout(run.speaking);
   wheel?.leaveWheel();
   for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells"]) element(id).hidden = true;
-  for (const id of ["drive-status", "trap-status", "about"]) element(id).replaceChildren();
+  for (const id of ["drive-status", "trap-status", "about", "driven"]) element(id).replaceChildren();
   meanwhile.remove();
   run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
@@ -437,7 +437,7 @@ function command(configuration) {
 
 /** What the worker says; a tape says the same. */
 const receive = {
-  ready({ experiments, world, cost, configuration, settings, wanted }) {
+  ready({ experiments, world, cost, configuration, settings, wanted, driven }) {
     run.world = world;
     run.configuration = configuration;
     if (run.token) {
@@ -454,13 +454,21 @@ const receive = {
     element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
     element("drive-start").hidden = false;
     run.trap = readTrap(configuration);
-    element("trap-start").hidden = false;
+    // Traps are set on boards.
+    element("trap-start").hidden = Boolean(driven);
     element("trap-end").hidden = !run.trap;
     if (run.trap) tellTrap("Safe training first, without the trap.");
     controls.fill(settings);
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
     element("command").textContent = command(configuration);
+    if (!driven) return;
+    run.over = true;
+    run.held = false;
+    element("start").hidden = true;
+    ended("Nothing is trained here.");
+    moment.wait(driven);
+    say("driven", driven);
   },
 
   report(report) {
@@ -544,7 +552,7 @@ function openTape(text, name) {
   element("legend").replaceChildren(...legend(tape.world.legend));
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
   ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
-  element("again").hidden = tape.configuration === null;
+  element("again").hidden = tape.configuration === null || !tape.world.actions.discrete;
   if (tape.configuration) element("command").textContent = command(tape.configuration);
   element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");

@@ -56,7 +56,7 @@ function tape(value, fail) {
   const { configuration, world, legs, evaluations, checks } = value;
   const whole =
     /^env=\S+( \S+=\S+)*$/.test(configuration) &&
-    Array.isArray(world?.actions?.discrete) &&
+    Array.isArray(world?.actions?.discrete ?? world?.actions?.continuous?.names) &&
     world.legend.every((entry) => entry.length === 2 && entry.every((part) => typeof part === "string")) &&
     world.reward_scale > 0 &&
     [legs, evaluations, checks].every(Array.isArray) &&

@@ -45,7 +45,7 @@ const requests = {
   async judge({ configuration }) {
     let complaint = "";
     try {
-      new (await loaded).Run(configuration).free();
+      (await open(configuration)).free();
     } catch (error) {
       complaint = error.message;
     }
@@ -59,8 +59,9 @@ const requests = {
         episode?.free();
         episode = new Drive(configuration);
       }
-      const observed = action === undefined ? null : episode.act(action);
-      const state = JSON.parse(episode.state());
+      const act = () => (action.length ? episode.turn(...action) : episode.act(action));
+      const observed = action === undefined ? null : act();
+      const state = JSON.parse(episode.state(Boolean(end)));
       const result = end || state.over ? JSON.parse(episode.result()) : null;
       const world = configuration ? JSON.parse(episode.world()) : null;
       postMessage({ kind: "driven", ...state, observed, result, world });
@@ -90,20 +91,26 @@ loaded.catch(() => {});
 async function load() {
   const module = await import(`./pkg/${MODULE}.js`);
   await module.default({ module_or_path: new URL(`pkg/${MODULE}_bg.wasm`, import.meta.url) });
-  const { Run, Drive, readToken } = module;
-  return { Run, Drive, readToken, experiments: JSON.parse(module.experiments()) };
+  const { Run, Drive, readToken, untrained } = module;
+  return { Run, Drive, readToken, untrained, experiments: JSON.parse(module.experiments()) };
+}
+
+/** The run of a configuration; where it is not trained here, an episode in its world, which says the same of it. */
+async function open(configuration) {
+  const { Run, Drive, untrained } = await loaded;
+  return new (untrained(configuration) ? Drive : Run)(configuration);
 }
 
 /** Safe training, then both learners side by side from the switch, and the one that the configuration names. */
 async function compute(configuration, token, ticket) {
-  const { Run, readToken, experiments } = await loaded;
+  const { readToken, untrained, experiments } = await loaded;
   if (ticket !== current) return;
   const start = performance.now();
   let safe;
   let number = null;
   try {
     if (token) ({ configuration, number } = JSON.parse(readToken(token)));
-    safe = new Run(configuration);
+    safe = await open(configuration);
   } catch (error) {
     postMessage({ kind: "malformed", ticket, message: error.message });
     return;
@@ -111,7 +118,9 @@ async function compute(configuration, token, ticket) {
   const world = JSON.parse(safe.world());
   const settings = JSON.parse(safe.settings());
   configuration = safe.configuration();
-  postMessage({ kind: "ready", ticket, experiments, world, cost: safe.cost(), configuration, settings, wanted: number });
+  const driven = untrained(configuration);
+  postMessage({ kind: "ready", ticket, experiments, world, cost: safe.cost(), configuration, settings, wanted: number, driven });
+  if (driven) return safe.free();
   if (!(await follow([safe], "switch", ticket))) return;
   const named = settings.find(({ name }) => name === "agent").value;
   const learners = [...new Set(["baseline", "mc", named])].map((name) => safe.fork(name));

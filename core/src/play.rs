@@ -12,12 +12,15 @@
 use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
+use core::any::Any;
 
 use crate::config::Config;
-use crate::env::{Action, ActionValue, EnvSpec, Environment, EpisodeEnd, Frame, Step};
+use crate::env::gridworld::Gridworld;
+use crate::env::reacher::{Pose, Reacher};
+use crate::env::trap::Trapped;
+use crate::env::{Action, ActionValue, BuiltIn, EnvSpec, Environment, EpisodeEnd, Frame, Step};
 use crate::record::Arm;
 use crate::rng::{Purpose, Rng};
-use crate::run;
 
 /// Sums over the episode so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,15 +44,17 @@ pub struct Play {
 }
 
 /// A world whose type is not named.
-pub(crate) trait World: Send {
+trait World: Send {
     fn spec(&self) -> &EnvSpec;
     fn frame(&self) -> Frame;
     fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]);
     /// `None` if there is no such action.
     fn step(&mut self, action: &ActionValue, rng: &mut Rng, observation: &mut [f32]) -> Option<Step>;
+    /// The world itself, for what only some worlds have.
+    fn as_any(&self) -> &dyn Any;
 }
 
-impl<E: Environment + Send> World for E {
+impl<E: Environment + Send + 'static> World for E {
     fn spec(&self) -> &EnvSpec {
         Environment::spec(self)
     }
@@ -66,15 +71,45 @@ impl<E: Environment + Send> World for E {
         let action = E::Action::from_value(action, &Environment::spec(self).actions)?;
         Some(Environment::step(self, &action, rng, observation))
     }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+/// Built-in worlds of one type, by their names, and how the world of a leg begins.
+type Worlds = (&'static [&'static str], fn(&Config, Arm) -> Box<dyn World>);
+
+/// Every built-in world, in the order of the table of experiments. They are here in every build: without a learner
+/// they are small, also those that the build does not train in.
+static WORLDS: &[Worlds] = &[
+    (Gridworld::NAMES, |config, leg| of_leg(Trapped::worlds(config).expect("the table has this world"), leg)),
+    (&[<Reacher as BuiltIn>::NAME], |config, leg| of_leg(Reacher::worlds(config), leg)),
+];
+
+fn of_leg<E: Environment + Send + 'static>((safe, full): (E, E), leg: Arm) -> Box<dyn World> {
+    Box::new(if leg == Arm::Safe { safe } else { full })
 }
 
 impl Play {
-    /// The first episode in the world of a leg; its chances follow from the seed of the configuration.
+    /// Whether the bare world of a configuration is here: every built-in one is, also where
+    /// [`Run::offers`](crate::run::Run::offers) no training in it.
+    pub fn offers(config: &Config) -> bool {
+        Self::find(config).is_some()
+    }
+
+    fn find(config: &Config) -> Option<&'static Worlds> {
+        WORLDS.iter().find(|(names, _)| names.contains(&&*config.env))
+    }
+
+    /// The first episode in the world of a leg; its chances follow from the seed of the configuration. Whatever
+    /// simulator a configuration names, the closed form moves this world.
     ///
     /// # Panics
-    /// If the configuration is [`Config::custom`].
+    /// Unless [`Play::offers`] it: if the configuration is [`Config::custom`].
     pub fn new(config: &Config, leg: Arm) -> Self {
-        let world = run::world(config, leg);
+        let (_, begin) = Self::find(config).expect("only built-in worlds have names");
+        let world = begin(config, leg);
         let observation = vec![0.0; world.spec().observation.width];
         let rng = Rng::stream(config.seed, Purpose::Application, 0);
         let mut play = Self { world, rng, observation, score: Score::default() };
@@ -116,6 +151,11 @@ impl Play {
         self.world.frame()
     }
 
+    /// Where the arm, its target and the hidden button are, for drawings; only Reacher has them.
+    pub fn pose(&self) -> Option<Pose> {
+        (*self.world).as_any().downcast_ref::<Reacher>().map(Reacher::pose)
+    }
+
     /// What a learner sees of it.
     pub fn observation(&self) -> &[f32] {
         &self.observation
@@ -152,6 +192,32 @@ mod tests {
             played += 1;
         }
         assert!(played > 5);
+    }
+
+    #[test]
+    fn every_experiment_has_its_bare_world() {
+        let names = WORLDS.iter().flat_map(|(names, _)| names.iter().copied());
+        assert!(names.eq(EXPERIMENTS.iter().map(|experiment| experiment.name)));
+        let mut config = Config::new("reacher", Preset::Paper).unwrap();
+        assert!(Play::offers(&config) && !Play::offers(&Config::custom(Preset::Paper)));
+        config.set("physics", "mujoco").unwrap();
+        assert!(Play::offers(&config), "the closed form moves it");
+        let closed = Config::new("reacher", Preset::Paper).unwrap();
+        assert_eq!(Play::new(&config, Arm::Mc).pose(), Play::new(&closed, Arm::Mc).pose());
+    }
+
+    #[test]
+    fn only_an_arm_has_a_pose_and_it_is_that_of_the_episode() {
+        assert_eq!(Play::new(&Config::new("box-moving", Preset::Paper).unwrap(), Arm::Mc).pose(), None);
+        let mut play = Play::new(&Config::new("reacher", Preset::Paper).unwrap(), Arm::Mc);
+        let before = play.pose().unwrap();
+        assert!(before.button.is_some_and(|button| !button.pressed()));
+        play.step(Continuous([1.0, 0.0]));
+        let after = play.pose().unwrap();
+        assert!(after.angles[0] > before.angles[0] + 0.01, "the shoulder turns towards +y");
+        let [tip, target] = [after.tip, after.target];
+        let seen = [tip[0] - target[0], tip[1] - target[1]].map(|metres| metres as f32);
+        assert_eq!((&play.observation()[8..], target), (&seen[..], before.target));
     }
 
     fn random(spec: &ActionSpec, rng: &mut Rng) -> ActionValue {

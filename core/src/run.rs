@@ -23,7 +23,6 @@ use crate::env::reacher::Reacher;
 use crate::env::trap::Trapped;
 use crate::env::{EnvSpec, Environment, Frame};
 use crate::forecast::cpu::CpuForecaster;
-use crate::play;
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
 
@@ -273,31 +272,26 @@ where
     }
 }
 
-/// Built-in worlds that share a learner, with their types erased: how runs in them begin and come back,
-/// and the bare world.
+/// Built-in worlds that share a learner, with their types erased: how runs in them begin and come back. Bare
+/// worlds have a table of their own, in [`play`](crate::play): they need no learner.
 struct Family {
     names: &'static [&'static str],
     begin: fn(&Config) -> Box<dyn Erased>,
     resume: fn(&[u8]) -> Resumed,
-    play: fn(&Config, Arm) -> Box<dyn play::World>,
 }
 
 /// What became of a snapshot's state.
 type Resumed = Result<Box<dyn Erased>, SnapshotError>;
 
-/// Every built-in world, in the order of the table of experiments.
+/// Every built-in world that this build trains, in the order of the table of experiments.
 static FAMILIES: &[Family] = &[
     Family {
         names: Gridworld::NAMES,
         begin: |config| {
-            let (safe, full) = gridworlds(config);
+            let (safe, full) = Trapped::worlds(config).expect("the family has this world");
             Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
         },
         resume: resumed::<Trapped, Ddqn>,
-        play: |config, leg| {
-            let (safe, full) = gridworlds(config);
-            Box::new(if leg == Arm::Safe { safe } else { full })
-        },
     },
     #[cfg(feature = "continuous")]
     Family {
@@ -307,10 +301,6 @@ static FAMILIES: &[Family] = &[
             Box::new(Typed::new(Trainer::continuous(config.clone(), safe, full)))
         },
         resume: resumed::<Reacher, Td3<2>>,
-        play: |config, leg| {
-            let (safe, full) = Reacher::worlds(config);
-            Box::new(if leg == Arm::Safe { safe } else { full })
-        },
     },
 ];
 
@@ -318,10 +308,6 @@ impl Family {
     fn find(name: &str) -> Option<&'static Self> {
         FAMILIES.iter().find(|family| family.names.contains(&name))
     }
-}
-
-fn gridworlds(config: &Config) -> (Trapped, Trapped) {
-    Trapped::worlds(config).expect("the family has this world")
 }
 
 /// A trainer from its binary form.
@@ -390,14 +376,11 @@ fn opened(bytes: &[u8]) -> Result<(&str, &[u8]), SnapshotError> {
     Ok((name, state))
 }
 
-/// The world of a leg, without a learner.
-pub(crate) fn world(config: &Config, leg: Arm) -> Box<dyn play::World> {
-    let family = Family::find(&config.env).expect("only built-in worlds have names");
-    (family.play)(config, leg)
-}
-
 impl Run {
-    /// Whether this build of the crate has the world of a configuration, for runs and for [`Play`](play::Play).
+    /// Whether this build of the crate trains in the world of a configuration; [`Play::offers`] says whether it has
+    /// the bare world.
+    ///
+    /// [`Play::offers`]: crate::play::Play::offers
     pub fn offers(config: &Config) -> bool {
         config.physics == Simulator::ClosedForm && Family::find(&config.env).is_some()
     }

@@ -5,7 +5,7 @@
 #![forbid(unsafe_code)]
 
 use mcvl_core::config::{Config, ConfigError, KEYS, Learner, Preset};
-use mcvl_core::env::Discrete;
+use mcvl_core::env::{ActionSpec, Continuous, Discrete};
 use mcvl_core::exact;
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::play::Play;
@@ -37,10 +37,11 @@ pub fn digests() -> String {
     text(&map)
 }
 
-/// The experiments that run here as a JSON array: `name` (the value of `env`), `title`, `task` and `hack` in words.
+/// The experiments whose worlds are here as a JSON array: `name` (the value of `env`), `title`, `task` and `hack` in
+/// words.
 #[wasm_bindgen]
 pub fn experiments() -> String {
-    let here = |experiment: &&Experiment| Config::new(experiment.name, Preset::Paper).is_ok_and(|c| Run::offers(&c));
+    let here = |experiment: &&Experiment| Config::new(experiment.name, Preset::Paper).is_ok_and(|c| Play::offers(&c));
     let rows = EXPERIMENTS.iter().filter(here).map(|experiment| {
         json!({
             "name": experiment.name,
@@ -50,6 +51,22 @@ pub fn experiments() -> String {
         })
     });
     text(&rows.collect::<Vec<Value>>())
+}
+
+/// Why the world of a configuration text can be driven but is not trained here, in words; none where it is trained.
+///
+/// # Errors
+/// If the text is no configuration, or its world is not here; the message says what would be.
+#[wasm_bindgen]
+pub fn untrained(configuration: &str) -> Result<Option<String>, JsError> {
+    let config = offered(configuration)?;
+    Ok((!Run::offers(&config)).then(|| {
+        format!(
+            "Trained natively: `mcvl train {} --preset small`; here you can drive the arm, which its equations move, and \
+             watch recorded runs (open a tape, or `mcvl serve RUN`).",
+            config.env
+        )
+    }))
 }
 
 /// What a replay token names, as a JSON object: `configuration` and `number` of the check.
@@ -80,6 +97,10 @@ impl Handle {
     #[wasm_bindgen(constructor)]
     pub fn new(configuration: &str) -> Result<Handle, JsError> {
         let config = offered(configuration)?;
+        if !Run::offers(&config) {
+            let env = &config.env;
+            return Err(JsError::new(&format!("env: {env} is not trained on the page; `mcvl train {env}` trains it")));
+        }
         Ok(Self { run: Run::new(&config), events: Vec::new(), decisions: Vec::new() })
     }
 
@@ -160,22 +181,7 @@ impl Handle {
     /// # Errors
     /// Never, as long as the run's own world and preset exist.
     pub fn settings(&self) -> Result<String, JsError> {
-        let config = self.run.config();
-        let untouched = Config::new(&config.env, config.preset)?;
-        let settings: Vec<Value> = KEYS
-            .iter()
-            .map(|key| {
-                json!({
-                    "name": key.name,
-                    "value": key.value(config),
-                    "standard": key.value(&untouched),
-                    "help": key.help,
-                    "range": key.range(),
-                    "source": key.source,
-                })
-            })
-            .collect();
-        Ok(text(&settings))
+        settings(self.run.config())
     }
 
     /// A copy that continues from the switch with another learner, `mc` or `baseline`. Both share the
@@ -215,18 +221,45 @@ impl Drive {
     /// # Errors
     /// If there is no such action.
     pub fn act(&mut self, action: u8) -> Result<Option<f32>, JsError> {
-        let actions = self.play.spec().actions.features();
-        if usize::from(action) >= actions {
-            return Err(JsError::new(&format!("action {action}: this world has {actions} actions, from 0 on")));
+        match self.play.spec().actions {
+            ActionSpec::Discrete(names) if usize::from(action) < names.len() => {
+                Ok(self.play.step(Discrete(action)).map(|step| step.reward))
+            }
+            _ => Err(JsError::new(&format!("action {action}: this world has no such action"))),
         }
-        Ok(self.play.step(Discrete(action)).map(|step| step.reward))
     }
 
-    /// What the driver may know of the episode so far, as a JSON object.
-    pub fn state(&self) -> String {
+    /// Makes a step with two torques, as [`act`](Drive::act) does with a numbered action.
+    ///
+    /// # Errors
+    /// If this world has no torques, or these are no finite numbers.
+    pub fn turn(&mut self, shoulder: f32, elbow: f32) -> Result<Option<f32>, JsError> {
+        match self.play.spec().actions {
+            ActionSpec::Continuous { .. } if shoulder.is_finite() && elbow.is_finite() => {
+                Ok(self.play.step(Continuous([shoulder, elbow])).map(|step| step.reward))
+            }
+            _ => Err(JsError::new(&format!("torques {shoulder} and {elbow}: this world has no such action"))),
+        }
+    }
+
+    /// What the driver may know of the episode so far, as a JSON object: the `frame`, or the `pose` of an arm in metres.
+    /// Its `button` is hidden until it has paid or the episode has `ended`.
+    pub fn state(&self, ended: bool) -> String {
         let score = self.play.score();
+        let ended = ended || score.end.is_some();
+        let pose = self.play.pose().map(|pose| {
+            let button = pose.button.filter(|button| ended || button.pressed()).map(|button| *button.rule());
+            json!({
+                "elbow": pose.elbow,
+                "tip": pose.tip,
+                "target": pose.target,
+                "button": button.map(|rule| json!({ "centre": rule.centre, "radius": rule.radius })),
+            })
+        });
         text(&json!({
-            "frame": self.play.frame(),
+            // The truth of a picture has the button.
+            "frame": pose.is_none().then(|| self.play.frame()),
+            "pose": pose,
             "return": score.observed_return,
             "step": score.steps,
             "steps": self.play.spec().max_steps,
@@ -252,20 +285,55 @@ impl Drive {
     pub fn world(&self) -> String {
         text(self.play.spec())
     }
+
+    /// The canonical text of the run whose world this is.
+    pub fn configuration(&self) -> String {
+        self.config.to_string()
+    }
+
+    /// What a run of this world costs, in words.
+    pub fn cost(&self) -> String {
+        self.config.experiment().cost.into()
+    }
+
+    /// Every setting of the run whose world this is, as a run says its own.
+    ///
+    /// # Errors
+    /// Never, as long as the run's own world and preset exist.
+    pub fn settings(&self) -> Result<String, JsError> {
+        settings(&self.config)
+    }
 }
 
-/// The learner of this name, by the rules of the configuration text.
-/// A configuration whose world runs here.
+/// A configuration whose world is here.
 fn offered(configuration: &str) -> Result<Config, JsError> {
     let config: Config = configuration.parse()?;
-    if !Run::offers(&config) {
-        let env = &config.env;
-        let message = format!("env: {env} does not run on the page; `mcvl train {env}` trains it");
-        return Err(JsError::new(&message));
+    if !Play::offers(&config) {
+        return Err(JsError::new(&format!("env: {} is not on the page", config.env)));
     }
     Ok(config)
 }
 
+/// Every setting of a configuration as a JSON array.
+fn settings(config: &Config) -> Result<String, JsError> {
+    let untouched = Config::new(&config.env, config.preset)?;
+    let settings: Vec<Value> = KEYS
+        .iter()
+        .map(|key| {
+            json!({
+                "name": key.name,
+                "value": key.value(config),
+                "standard": key.value(&untouched),
+                "help": key.help,
+                "range": key.range(),
+                "source": key.source,
+            })
+        })
+        .collect();
+    Ok(text(&settings))
+}
+
+/// The learner of this name, by the rules of the configuration text.
 fn learner(name: &str) -> Result<Learner, ConfigError> {
     let mut config: Config = "env=box-moving".parse()?;
     config.set("agent", name)?;

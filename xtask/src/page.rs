@@ -76,9 +76,9 @@ fn media(features: &[(&str, &str)]) -> String {
     format!("cdp:Emulation.setEmulatedMedia {}", json!({ "features": features }))
 }
 
-/// Waits until the visitor has driven so many steps.
+/// Waits until the visitor has driven so many steps of an episode.
 fn driven(steps: usize) -> String {
-    format!("until:return document.getElementById('drive-status').textContent.includes('after {steps} of 100 steps')")
+    format!("until:return document.getElementById('drive-status').textContent.includes('after {steps} of ')")
 }
 
 /// Takes the pictures of the documentation anew.
@@ -121,6 +121,15 @@ pub fn pictures() -> Result<()> {
     commands.extend([stop, stopped, look("drive"), shot("drive")]);
     let vote = "until:return document.body.dataset.vote === 'open'".to_owned();
     commands.extend(["eval:document.getElementById('decide').click()".into(), vote, look("decision"), shot("vote")]);
+    let arm = "until:return !document.getElementById('drive-start').hidden".to_owned();
+    commands.extend([page.go("?env=reacher&seed=4"), arm]);
+    commands.extend(["eval:document.getElementById('drive-start').click()".into(), driven(0)]);
+    let keys = [&["ArrowLeft"; 4][..], &["ArrowUp"; 3], &["Space"; 9]].concat();
+    for (index, key) in keys.into_iter().enumerate() {
+        commands.extend([format!("keys:{key}"), driven(index + 1)]);
+    }
+    commands.extend(["eval:document.querySelector('#wheel > p button').click()".into()]);
+    commands.extend(["until:return document.querySelector('#wheel table')".into(), look("drive"), shot("arm")]);
     page.drive(&commands)?;
     println!("pictures: {PICTURES}/*.webp");
     Ok(())

@@ -1,6 +1,7 @@
 //! The page in a browser: it computes what the native program computes, asks nobody else, and says what is
 //! wrong with a link.
 
+mod arm;
 mod plays;
 
 use std::fs;
