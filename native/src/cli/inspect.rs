@@ -187,9 +187,12 @@ pub struct ExplainArgs {
     /// Check, like runs/box-moving#17 or runs/box-moving/seed-3#17
     #[arg(value_name = "RUN#NUMBER")]
     check: Reference,
-    /// Write it as a picture as well
+    /// Write it as a picture as well; in a browser the arm of Reacher moves
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
+    /// Write it as a PNG as well
+    #[arg(long, value_name = "FILE")]
+    png: Option<PathBuf>,
 }
 
 /// Shows one decision in full.
@@ -203,6 +206,9 @@ pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Resu
     writeln!(terminal.out, "\nRe-derive it anywhere:\n  mcvl replay {token}")?;
     if let Some(path) = &arguments.svg {
         runs::write_atomic(path, film::svg(&tape, &spec).as_bytes())?;
+    }
+    if let Some(path) = &arguments.png {
+        runs::write_atomic(path, &film::png(&tape, &spec)?)?;
     }
     Ok(Done::Well)
 }

@@ -120,11 +120,35 @@ impl Svg {
 
     /// An element without content; attribute values are escaped.
     pub(super) fn element(&mut self, tag: &str, attributes: &[(&str, &str)]) {
+        self.open(tag, attributes);
+        self.body.push_str("/>\n");
+    }
+
+    /// An element of which some attributes move, once, through lists of values. What plays no animations shows
+    /// `attributes`.
+    pub(super) fn moving(
+        &mut self,
+        tag: &str,
+        attributes: &[(&str, &str)],
+        seconds: f64,
+        through: &[(&str, Vec<String>)],
+    ) {
+        self.open(tag, attributes);
+        self.body.push('>');
+        let duration = format!("{}s", number(seconds));
+        for (name, values) in through {
+            let values = values.join(";");
+            self.open("animate", &[("attributeName", name), ("dur", &duration), ("values", &values)]);
+            self.body.push_str("/>");
+        }
+        let _ = writeln!(self.body, "</{tag}>");
+    }
+
+    fn open(&mut self, tag: &str, attributes: &[(&str, &str)]) {
         let _ = write!(self.body, "<{tag}");
         for (name, value) in attributes {
             let _ = write!(self.body, " {name}=\"{}\"", escape(value));
         }
-        self.body.push_str("/>\n");
     }
 
     pub(super) fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {

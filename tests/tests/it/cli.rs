@@ -230,7 +230,7 @@ fn decisions_of_every_scheme_are_kept_explained_and_derived_again() {
         let said = ok(folder, &format!("train box-moving --quick --agent mc --scheme {scheme} -o {scheme}"));
         assert!(said.contains("checks "), "{scheme}\n{said}");
         let explained =
-            ok(folder, &format!("explain {scheme}#1 --svg check.svg")).replace('\n', " ").replace("  ", " ");
+            ok(folder, &format!("explain {scheme}#1 --svg check.svg --png check.png")).replace('\n', " ").replace("  ", " ");
         assert!(explained.contains(word), "{scheme}: {explained}");
         assert!(fs::read_to_string(folder.join("check.svg")).unwrap().starts_with("<svg"));
         let token = explained.split("mcvl replay ").nth(1).unwrap().trim().to_owned();

@@ -35,6 +35,9 @@ pub(super) fn is_arm(names: &EnvSpec) -> bool {
         && means('X', "fingertip")
 }
 
+/// Pace of a moving film, seconds: a fifth of the world's own.
+const SECONDS_PER_STEP: f64 = 0.1;
+
 /// What a frame shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Pose {
@@ -214,7 +217,7 @@ impl Scene {
         let (Some(first), Some(last)) = (poses.first(), poses.last()) else { return };
         let way = way(&poses);
         arm(svg, &plane, first, way[0], series, 0.3);
-        arm(svg, &plane, last, way[way.len() - 1], series, 1.0);
+        moving_arm(svg, &plane, &poses, &way, series);
         let points: Vec<(f64, f64)> = way.iter().map(|place| plane.point(*place)).collect();
         for (step, pair) in points.windows(2).enumerate() {
             let opacity = number(0.2 + 0.8 * (step + 1) as f64 / (points.len() - 1) as f64);
@@ -260,6 +263,33 @@ impl Plane {
 
     fn point(&self, [x, y]: Place) -> (f64, f64) {
         (self.at.0 + self.length(x + HALF), self.at.1 + self.length(HALF - y))
+    }
+}
+
+/// The arm at the end of a film. Where animations are played it first goes the whole way, once: five seconds at
+/// most, so that nobody needs a button to stop it.
+fn moving_arm(svg: &mut Svg, plane: &Plane, poses: &[Pose], way: &[Place], series: &str) {
+    let (seconds, end) = (SECONDS_PER_STEP * (way.len() - 1) as f64, way.len() - 1);
+    let joints: Vec<[(f64, f64); 2]> =
+        poses.iter().zip(way).map(|(pose, tip)| [plane.point(pose.elbow), plane.point(*tip)]).collect();
+    let shoulder = plane.point([0.0, 0.0]);
+    let links = |[elbow, tip]: &[(f64, f64); 2]| {
+        [shoulder, *elbow, *tip].map(|(x, y)| format!("{},{}", number(x), number(y))).join(" ")
+    };
+    let along = |joint: usize, axis: fn((f64, f64)) -> f64| -> Vec<String> {
+        joints.iter().map(|both| number(axis(both[joint]))).collect()
+    };
+    let (x, y): (fn((f64, f64)) -> f64, fn((f64, f64)) -> f64) = (|p| p.0, |p| p.1);
+    let look = [("class", "s-safe"), ("fill", "none"), ("stroke-width", "7")];
+    let ends = [("stroke-linejoin", "round"), ("stroke-linecap", "round"), ("points", &*links(&joints[end]))];
+    let through = [("points", joints.iter().map(links).collect())];
+    svg.moving("polyline", &[look.as_slice(), ends.as_slice()].concat(), seconds, &through);
+    svg.circle("f-text", shoulder, 5.0);
+    let tip_class = format!("b-{series}");
+    for (joint, class, radius) in [(0, "f-on", "3"), (1, &*tip_class, "5")] {
+        let (cx, cy) = (number(joints[end][joint].0), number(joints[end][joint].1));
+        let look = [("class", class), ("cx", &*cx), ("cy", &*cy), ("r", radius)];
+        svg.moving("circle", &look, seconds, &[("cx", along(joint, x)), ("cy", along(joint, y))]);
     }
 }
 

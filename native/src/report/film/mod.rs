@@ -8,8 +8,8 @@ mod terminal;
 use mcvl_core::env::{EnvSpec, Frame};
 use mcvl_core::record::{CheckRecord, Film, FutureRecord, StartState, Subject, Verdict};
 
-pub use picture::svg;
 pub(super) use picture::{picture_legend, ratings, situation, way};
+pub use picture::{png, svg};
 pub use terminal::{board, explain};
 
 /// Longest cycle that is looked for.

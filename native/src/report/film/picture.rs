@@ -49,6 +49,14 @@ pub fn svg(check: &CheckRecord, names: &EnvSpec) -> String {
     page.svg.finish((WIDTH, page.y), &title, &verdict_words(check), false)
 }
 
+/// The same picture as a PNG, at twice its size.
+///
+/// # Errors
+/// If it cannot be drawn.
+pub fn png(check: &CheckRecord, names: &EnvSpec) -> anyhow::Result<Vec<u8>> {
+    crate::report::plot::raster(&svg(check, names), 2.0)
+}
+
 /// What the pictures of a check show.
 pub(in crate::report) fn picture_legend(check: &CheckRecord, names: &EnvSpec) -> String {
     Scene::of(check, names).map_or_else(|| legend(check, names), |scene| scene.legend(check.futures().is_some()))
@@ -312,6 +320,30 @@ mod tests {
         assert_eq!((count("50 steps, expected"), count("hidden button")), (2, 1));
         let bare = check.without_films();
         assert!(svg(&bare, &spec).contains("not kept"));
+        assert!(png(&check, &spec).unwrap().starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn an_arm_moves_once_and_ends_where_it_is_drawn() {
+        let drawing = svg(&samples::reach(1), &samples::reach_spec());
+        let moving: Vec<&str> = drawing.lines().filter(|line| line.contains("<animate ")).collect();
+        // The links, the elbow and the fingertip of both futures.
+        assert_eq!(moving.len(), 6);
+        for line in moving {
+            let attribute = |part: &str, name: &str| -> String {
+                let found = part.split(&format!(" {name}=\"")).nth(1).and_then(|rest| rest.split('"').next());
+                found.unwrap_or_else(|| panic!("no {name} in {part}")).to_owned()
+            };
+            let (shown, animations) = line.split_once("<animate").unwrap();
+            for animation in animations.split("<animate") {
+                let values = attribute(animation, "values");
+                let name = attribute(animation, "attributeName");
+                assert_eq!(values.split(';').count(), 51, "a place for every frame");
+                assert_eq!(values.split(';').next_back(), Some(&*attribute(shown, &name)));
+                assert_eq!(attribute(animation, "dur"), "5s");
+            }
+            assert!(!line.contains("repeatCount"));
+        }
     }
 
     #[test]
