@@ -229,10 +229,12 @@ fn decisions_of_every_scheme_are_kept_explained_and_derived_again() {
     ] {
         let said = ok(folder, &format!("train box-moving --quick --agent mc --scheme {scheme} -o {scheme}"));
         assert!(said.contains("checks "), "{scheme}\n{said}");
-        let explained =
-            ok(folder, &format!("explain {scheme}#1 --svg check.svg --png check.png")).replace('\n', " ").replace("  ", " ");
+        let explained = ok(folder, &format!("explain {scheme}#1 --svg check.svg --png check.png"))
+            .replace('\n', " ")
+            .replace("  ", " ");
         assert!(explained.contains(word), "{scheme}: {explained}");
         assert!(fs::read_to_string(folder.join("check.svg")).unwrap().starts_with("<svg"));
+        assert!(fs::read(folder.join("check.png")).unwrap().starts_with(b"\x89PNG"));
         let token = explained.split("mcvl replay ").nth(1).unwrap().trim().to_owned();
         for what in [format!("{scheme}#1"), token] {
             assert!(ok(folder, &format!("replay {what}")).contains("SAME"), "{scheme}");

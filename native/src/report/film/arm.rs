@@ -279,7 +279,6 @@ fn moving_arm(svg: &mut Svg, plane: &Plane, poses: &[Pose], way: &[Place], serie
     let along = |joint: usize, axis: fn((f64, f64)) -> f64| -> Vec<String> {
         joints.iter().map(|both| number(axis(both[joint]))).collect()
     };
-    let (x, y): (fn((f64, f64)) -> f64, fn((f64, f64)) -> f64) = (|p| p.0, |p| p.1);
     let look = [("class", "s-safe"), ("fill", "none"), ("stroke-width", "7")];
     let ends = [("stroke-linejoin", "round"), ("stroke-linecap", "round"), ("points", &*links(&joints[end]))];
     let through = [("points", joints.iter().map(links).collect())];
@@ -289,7 +288,12 @@ fn moving_arm(svg: &mut Svg, plane: &Plane, poses: &[Pose], way: &[Place], serie
     for (joint, class, radius) in [(0, "f-on", "3"), (1, &*tip_class, "5")] {
         let (cx, cy) = (number(joints[end][joint].0), number(joints[end][joint].1));
         let look = [("class", class), ("cx", &*cx), ("cy", &*cy), ("r", radius)];
-        svg.moving("circle", &look, seconds, &[("cx", along(joint, x)), ("cy", along(joint, y))]);
+        svg.moving(
+            "circle",
+            &look,
+            seconds,
+            &[("cx", along(joint, |point| point.0)), ("cy", along(joint, |point| point.1))],
+        );
     }
 }
 

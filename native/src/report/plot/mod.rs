@@ -262,7 +262,11 @@ fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Ser
 pub(crate) fn references(config: &Config, quantity: Quantity) -> Vec<Reference> {
     let Some(optima) = config.optima() else { return Vec::new() };
     let reference = |y: f64, name: &str| Reference { y, name: name.into() };
-    let mut list = vec![reference(optima.safe_best, "best in Safe"), reference(optima.intended, "intended")];
+    let mut list = vec![reference(optima.intended, "intended")];
+    // One line, one name.
+    if optima.safe_best != optima.intended {
+        list.insert(0, reference(optima.safe_best, "best in Safe"));
+    }
     if let Some((observed, performance)) = optima.hacking {
         let y = if quantity == Quantity::Return { observed } else { performance };
         list.push(reference(y, "full hack"));
