@@ -366,10 +366,10 @@ keys! {
     tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update.", "P table 1, A (R4)", |v| (0.0..=1.0).contains(v), "0 to 1";
     lr: f32 = "0.0001", "Learning rate of the value function.", "P table 1", |v| *v > 0.0, "above 0";
     lr_reward: f32 = "0.01", "Learning rate of the reward model.", "P table 1", |v| *v > 0.0, "above 0";
-    exploration_noise: f32 = "0.1", "Standard deviation of the noise on exploring actions, in halves of their range (TD3).", "P table 3 (R45)", |v| *v >= 0.0, "0 or more";
-    policy_noise: f32 = "0.01", "Standard deviation of the noise on target actions, in halves of their range (TD3).", "P table 3 (R42)", |v| *v >= 0.0, "0 or more";
+    exploration_noise: f32 = "0.1", "Standard deviation of the noise on exploring actions, in halves of their range (TD3).", "P (R45)", |v| *v >= 0.0, "0 or more";
+    policy_noise: f32 = "0.01", "Standard deviation of the noise on target actions, in halves of their range (TD3).", "P (R42)", |v| *v >= 0.0, "0 or more";
     noise_clip: f32 = "0.5", "Bound of that noise (TD3).", "CleanRL (R42)", |v| *v >= 0.0, "0 or more";
-    policy_delay: u32 = "2", "Updates of the critics per step of the actor and of the target networks (TD3).", "P table 3 (R43)", |v| *v >= 1, "1 or more";
+    policy_delay: u32 = "2", "Updates of the critics per step of the actor and of the target networks (TD3).", "P (R43)", |v| *v >= 1, "1 or more";
     optimizer: Optimizer = "adam" | "adamw-amsgrad", "Optimiser of both networks (moments 0.9 and 0.999, epsilon 1e-8).", "P table 1; A", |_v| true, "adam, adamw, amsgrad or adamw-amsgrad";
     weight_decay: f32 = "0" | "0.01", "Decoupled weight decay (adamw).", "P; A (framework default)", |v| (0.0..=1.0).contains(v), "0 to 1";
     gradient_clip: f32 = "0" | "100", "Each gradient element is clipped to this magnitude; 0 switches it off.", "P; A", |v| *v >= 0.0, "0 or more";
