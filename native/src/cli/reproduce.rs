@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -17,8 +16,7 @@ use mcvl::runs::{Lock, Manifest, Plan, RunDir, RunSet, RunsError, State, write_a
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
 use serde::{Deserialize, Serialize};
 
-use super::progress::Style;
-use super::session::{Ended, Manner, Session, stop_on_signals};
+use super::session::{Ended, Manner, Pace, Session, stop_on_signals};
 use super::settings;
 use super::terminal::{Terminal, wrap};
 use super::train::{Speed, rough};
@@ -72,24 +70,14 @@ pub struct ReproduceArgs {
     /// Also write the results into this Markdown page, between its two marks
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
-    /// Seeds at a time; no result depends on it [default: number of cores]
-    #[arg(short, long, visible_alias = "threads", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    jobs: Option<u16>,
-    /// Stop after this time with the state saved, like 90s, 10m, 2h
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
-    max_time: Option<Duration>,
-    /// Save the state this often: a kill loses at most about this much work
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration, default_value = "5s")]
-    checkpoint_every: Duration,
     /// Exit with 1 unless every claim holds
     #[arg(long)]
     assert_claims: bool,
     /// Print the results as JSON
     #[arg(long)]
     json: bool,
-    /// How progress is shown on stderr
-    #[arg(long, value_enum, default_value_t = Style::Auto, value_name = "HOW")]
-    progress: Style,
+    #[command(flatten)]
+    pace: Pace,
 }
 
 /// A cell as it is wanted here.
@@ -233,10 +221,6 @@ impl ReproduceArgs {
         wanted.collect()
     }
 
-    fn threads(&self) -> usize {
-        self.jobs.map_or_else(|| thread::available_parallelism().map_or(1, usize::from), usize::from)
-    }
-
     fn manner(&self, folder: &Folder) -> Manner {
         let mut resume = String::from("mcvl reproduce");
         let mut add = |part: &str| {
@@ -255,13 +239,7 @@ impl ReproduceArgs {
         if self.output.is_some() {
             add(&format!("-o {}", folder.0.display()));
         }
-        Manner {
-            threads: self.threads(),
-            checkpoint_every: self.checkpoint_every,
-            deadline: self.max_time.and_then(|time| Instant::now().checked_add(time)),
-            progress: self.progress,
-            resume,
-        }
+        self.pace.manner(resume)
     }
 }
 
@@ -601,7 +579,7 @@ fn dry_run(
         writeln!(terminal.out, "{}", row(wanted.cell.name, &seeds, &expected, wanted.cell.config))?;
     }
     let cells = plural(wanted.len() as u64, "cell");
-    let (total, threads) = (rough(total), arguments.threads());
+    let (total, threads) = (rough(total), arguments.pace.threads());
     writeln!(terminal.out, "\n{cells}, {done} done; here the rest takes about {total} with -j {threads}")?;
     let basis = "Checks are expected as often as at the paper's setting; what was begun counts in full.";
     writeln!(terminal.out, "{}", wrap(basis, 0, super::WIDTH))?;
@@ -613,7 +591,7 @@ fn dry_run(
 
 /// Seconds that a cell is expected to take.
 fn expected_seconds(wanted: &Wanted, arguments: &ReproduceArgs, speed: Speed) -> f64 {
-    let (plan, threads) = (&wanted.plan, arguments.threads());
+    let (plan, threads) = (&wanted.plan, arguments.pace.threads());
     let Some(extent) = wanted.cell.extent(arguments.quick) else {
         return speed.seconds(plan) * plan.seeds.len().div_ceil(threads) as f64;
     };

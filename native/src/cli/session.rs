@@ -4,8 +4,10 @@
 use std::fs;
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use mcvl::report::claims::Summary;
 use mcvl::runs::{
     self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
@@ -27,6 +29,37 @@ pub fn stop_on_signals() -> anyhow::Result<()> {
         say("stopping: saving the state (once more to abort)");
     };
     Ok(ctrlc::set_handler(stop)?)
+}
+
+/// Flags of whatever trains.
+#[derive(Args)]
+pub struct Pace {
+    /// Seeds at a time; no result depends on it [default: number of cores]
+    #[arg(short, long, visible_alias = "threads", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: Option<u16>,
+    /// Stop after this time with the state saved, like 90s, 10m, 2h
+    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
+    max_time: Option<Duration>,
+    /// Save the state this often: a kill loses at most about this much work
+    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration, default_value = "5s")]
+    checkpoint_every: Duration,
+    /// How progress is shown on stderr
+    #[arg(long, value_enum, default_value_t = Style::Auto, value_name = "HOW")]
+    progress: Style,
+}
+
+impl Pace {
+    /// Seeds at a time.
+    pub fn threads(&self) -> usize {
+        self.jobs.map_or_else(|| thread::available_parallelism().map_or(1, usize::from), usize::from)
+    }
+
+    /// The manner of a session that begins now and is continued by the command `resume`.
+    pub fn manner(&self, resume: String) -> Manner {
+        let deadline = self.max_time.and_then(|time| Instant::now().checked_add(time));
+        let (threads, checkpoint_every, progress) = (self.threads(), self.checkpoint_every, self.progress);
+        Manner { threads, checkpoint_every, deadline, progress, resume }
+    }
 }
 
 /// How a session works; no result depends on it.

@@ -2,7 +2,6 @@
 
 use std::io::Write as _;
 use std::path::PathBuf;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -13,8 +12,7 @@ use mcvl_core::config::{Config, Learner, Preset, Scheme};
 use mcvl_core::record::{Arm, Verdict};
 use mcvl_core::run::{Budget, Status};
 
-use super::progress::Style;
-use super::session::{Ended, Manner, Session, stop_on_signals};
+use super::session::{Ended, Pace, Session, stop_on_signals};
 use super::settings::{self, Given, Request, Resolved};
 use super::terminal::Terminal;
 use super::{Done, usage};
@@ -43,9 +41,6 @@ pub struct TrainArgs {
     /// Several seeds: 0..10 (the end is left out) or 1,5,9
     #[arg(long, value_name = "LIST", value_parser = settings::seeds)]
     seeds: Option<settings::SeedList>,
-    /// Seeds at a time; no result depends on it [default: number of cores]
-    #[arg(short, long, visible_alias = "threads", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    jobs: Option<u16>,
     /// Source of the defaults: paper or release
     #[arg(long, value_name = "PRESET", value_parser = super::preset)]
     preset: Option<Preset>,
@@ -73,21 +68,14 @@ pub struct TrainArgs {
     /// Show the settings and the expected cost, train nothing
     #[arg(long)]
     dry_run: bool,
-    /// Stop after this time with the state saved, like 90s, 10m, 2h
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
-    max_time: Option<Duration>,
-    /// Save the state this often: a kill loses at most about this much work
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration, default_value = "5s")]
-    checkpoint_every: Duration,
     /// Exit with 1 unless every claim holds
     #[arg(long)]
     assert_claims: bool,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
-    /// How progress is shown on stderr
-    #[arg(long, value_enum, default_value_t = Style::Auto, value_name = "HOW")]
-    progress: Style,
+    #[command(flatten)]
+    pace: Pace,
 }
 
 const EXAMPLES: &str = "\
@@ -117,13 +105,7 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
         Session::begin(arguments.place(run)?, plan, arguments.overwrite)?
     };
     let (run, plan) = (session.run().clone(), session.plan().clone());
-    let manner = Manner {
-        threads: arguments.threads(),
-        checkpoint_every: arguments.checkpoint_every,
-        deadline: arguments.max_time.and_then(|time| Instant::now().checked_add(time)),
-        progress: arguments.progress,
-        resume: arguments.resume_command(&run),
-    };
+    let manner = arguments.pace.manner(arguments.resume_command(&run));
     match session.work(&manner, terminal)? {
         Ended::Interrupted(open) => {
             let seeds = plan.seeds.len();
@@ -193,10 +175,6 @@ impl TrainArgs {
             "{path} already holds {state} run: --resume continues it, --fresh starts {}, --overwrite deletes it",
             fresh.path().display()
         )
-    }
-
-    fn threads(&self) -> usize {
-        self.jobs.map_or_else(|| thread::available_parallelism().map_or(1, usize::from), usize::from)
     }
 
     /// The command that continues this run.
@@ -282,7 +260,7 @@ fn dry_run(arguments: &TrainArgs, plan: &Plan, terminal: &mut Terminal) -> anyho
         terminal.out,
         "# Here: about {live:.0} updates/s of a live learner, {forecast:.0} in forecasts (one core)."
     )?;
-    let time = rough(speed.seconds(plan) * plan.seeds.len().div_ceil(arguments.threads()) as f64);
+    let time = rough(speed.seconds(plan) * plan.seeds.len().div_ceil(arguments.pace.threads()) as f64);
     let rate = 100.0 * config.experiment().check_rate;
     writeln!(
         terminal.out,
