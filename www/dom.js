@@ -32,6 +32,9 @@ export const deed = ({ actions }, action, verb = "") =>
     ? action.map((torque, index) => `${actions.continuous?.names[index] ?? "torque"} ${signed(torque)}`).join(", ")
     : verb + (actions.discrete?.[action] ?? `action ${action}`);
 
+/** Whether a learner gets more than it earns, by more than returns of equal policies differ. */
+export const parted = (score, tolerance = 1) => score.return > score.performance + tolerance;
+
 /** An element with text. */
 export function make(name, text = "", className = "") {
   const made = document.createElement(name);

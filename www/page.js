@@ -3,7 +3,7 @@ import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
 import * as controls from "./controls.js";
 import { curves } from "./curves.js";
-import { element, LEARNERS, make, number, say } from "./dom.js";
+import { element, LEARNERS, make, number, parted, say } from "./dom.js";
 import { player } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
@@ -345,14 +345,11 @@ function leg(arm) {
   return run.legs.get(arm);
 }
 
-/** Whether a learner gets more than it earns. */
-const parted = (point) => point.return > point.performance + 1;
-
 function showScore(point) {
   run.scores.set(point.arm, point);
   const rows = [...run.scores.values()].map((score) => {
     const { arm, return: observed, performance } = score;
-    const hacked = parted(score);
+    const hacked = parted(score, run.recorded?.tolerance);
     const row = make("tr");
     const name = make("th", LEARNERS[arm]);
     name.scope = "row";
@@ -547,7 +544,7 @@ function openTape(text, name) {
   run.world = tape.world;
   run.configuration = tape.configuration ?? "";
   readTrap(run.configuration);
-  run.recorded = { legs: tape.legs, checks: new Map(tape.checks.map((check) => [check.number, check])) };
+  run.recorded = { ...tape, checks: new Map(tape.checks.map((check) => [check.number, check])) };
   element("run-title").textContent = "A recorded run";
   element("legend").replaceChildren(...legend(tape.world.legend));
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;

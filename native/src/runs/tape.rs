@@ -23,6 +23,8 @@ struct Tape<'a> {
     /// Canonical text of the run of the modification-considering learner: the same text re-derives it.
     configuration: String,
     world: &'a EnvSpec,
+    /// Returns of its episodes count as equal within this much, raw.
+    tolerance: f64,
     legs: Vec<StartRecord>,
     evaluations: &'a [EvaluationRecord],
     /// Checks with their films, as they stand in the files of the run.
@@ -59,6 +61,7 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
         world: &world,
         legs: [Arm::Safe].into_iter().chain(plan.learners.iter().map(|agent| Arm::of(*agent))).map(leg).collect(),
         configuration: config.to_string(),
+        tolerance: config.experiment().tolerance,
         evaluations: &read.evaluations,
         checks,
     };
