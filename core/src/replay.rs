@@ -166,6 +166,12 @@ impl<A: Clone> ReplayBuffer<A> {
         self.observations.index.len()
     }
 
+    /// The columns as they are stored, for back ends that copy them.
+    pub fn columns(&self) -> Columns<'_, A> {
+        let (observations, state, action) = (&self.observations.rows, &self.state, &self.action);
+        Columns { observations, state, action, reward: &self.reward, next: &self.next, terminated: &self.terminated }
+    }
+
     /// The transition in slot `slot` (0 to `len() - 1`; order of slots is not order of age once the
     /// buffer is full).
     ///
@@ -192,6 +198,23 @@ impl<A: Clone> ReplayBuffer<A> {
             words.iter().map(|&bits| f32::from_bits(bits)).collect()
         }
     }
+}
+
+/// The columns of a replay buffer, one entry per slot.
+#[derive(Clone, Copy, Debug)]
+pub struct Columns<'a, A> {
+    /// Packed observations by number. A number that is not in use has no words.
+    pub observations: &'a [Box<Words>],
+    /// Number of the observation before the step.
+    pub state: &'a [u32],
+    /// Action taken.
+    pub action: &'a [A],
+    /// Observed reward, scaled.
+    pub reward: &'a [f32],
+    /// Number of the observation after the step.
+    pub next: &'a [u32],
+    /// True where no value follows.
+    pub terminated: &'a [bool],
 }
 
 /// Draws `count` different slots of `0..len`, uniformly (Floyd's method: exactly `count` draws).
@@ -247,6 +270,17 @@ impl<A: Clone> Forced<A> {
     /// True without any.
     pub fn is_empty(&self) -> bool {
         self.transitions.is_empty()
+    }
+
+    /// The transitions with the numbers of their observations before and after the step. Numbers beyond the
+    /// buffer's observations are those of [`Forced::extra`], in order.
+    pub fn entries(&self) -> impl Iterator<Item = (&Transition<A>, u32, u32)> {
+        self.transitions.iter().zip(&self.states).zip(&self.nexts).map(|((t, &state), &next)| (t, state, next))
+    }
+
+    /// Packed observations that the buffer does not hold.
+    pub fn extra(&self) -> &[Vec<u32>] {
+        &self.extra
     }
 }
 

@@ -5,6 +5,7 @@ use alloc::boxed::Box;
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
+use core::any::Any;
 use core::fmt;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -22,6 +23,7 @@ use crate::env::gridworld::Gridworld;
 use crate::env::reacher::Reacher;
 use crate::env::trap::Trapped;
 use crate::env::{EnvSpec, Environment, Frame};
+use crate::forecast::Forecaster;
 use crate::forecast::cpu::CpuForecaster;
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
@@ -179,6 +181,8 @@ trait Erased: Send {
     /// The world's name in snapshots: it says which types the state has.
     fn name(&self) -> &str;
     fn boxed_clone(&self) -> Box<dyn Erased>;
+    fn forecast_here(&mut self);
+    fn as_any_mut(&mut self) -> &mut dyn Any;
 }
 
 impl Clone for Box<dyn Erased> {
@@ -188,12 +192,20 @@ impl Clone for Box<dyn Erased> {
 }
 
 /// A trainer with its forecaster.
-#[derive(Clone)]
 struct Typed<E: Environment<Action = A::Action>, A: Agent> {
     /// Name in snapshots, where it is not that of the configuration's world.
     name: Option<&'static str>,
     trainer: Trainer<E, A>,
     forecaster: CpuForecaster<E, A>,
+    /// Forecasts in place of the processor's.
+    other: Option<Box<dyn Forecaster<E, A> + Send>>,
+}
+
+impl<E: Environment<Action = A::Action>, A: Agent> Clone for Typed<E, A> {
+    fn clone(&self) -> Self {
+        let (trainer, forecaster) = (self.trainer.clone(), self.forecaster.clone());
+        Self { name: self.name, trainer, forecaster, other: None }
+    }
 }
 
 impl<E, A> Typed<E, A>
@@ -202,7 +214,7 @@ where
     A: Agent,
 {
     fn new(trainer: Trainer<E, A>) -> Self {
-        Self { name: None, trainer, forecaster: CpuForecaster::default() }
+        Self { name: None, trainer, forecaster: CpuForecaster::default(), other: None }
     }
 }
 
@@ -213,7 +225,10 @@ where
     A::Action: Serialize + Send,
 {
     fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
-        self.trainer.poll(&mut self.forecaster, budget, recorder)
+        match &mut self.other {
+            Some(other) => self.trainer.poll(&mut **other, budget, recorder),
+            None => self.trainer.poll(&mut self.forecaster, budget, recorder),
+        }
     }
 
     fn config(&self) -> &Config {
@@ -269,6 +284,14 @@ where
 
     fn boxed_clone(&self) -> Box<dyn Erased> {
         Box::new(self.clone())
+    }
+
+    fn forecast_here(&mut self) {
+        self.other = None;
+    }
+
+    fn as_any_mut(&mut self) -> &mut dyn Any {
+        self
     }
 }
 
@@ -408,6 +431,34 @@ impl Run {
     /// If training diverged. The run is then of no further use.
     pub fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
         self.inner.poll(budget, recorder)
+    }
+
+    /// Lets `forecaster` train the futures in place of the processor's back end. It belongs to this value alone:
+    /// copies, forks and resumed snapshots forecast on the processor again. A back end's arithmetic is the only
+    /// influence it has.
+    ///
+    /// # Errors
+    /// Gives it back if the run is not of this world and learner; nothing is changed then.
+    pub fn forecast_with<E, A>(
+        &mut self,
+        forecaster: Box<dyn Forecaster<E, A> + Send>,
+    ) -> Result<(), Box<dyn Forecaster<E, A> + Send>>
+    where
+        E: Environment<Action = A::Action> + 'static,
+        A: Agent + 'static,
+    {
+        match self.inner.as_any_mut().downcast_mut::<Typed<E, A>>() {
+            Some(typed) => {
+                typed.other = Some(forecaster);
+                Ok(())
+            }
+            None => Err(forecaster),
+        }
+    }
+
+    /// Forecasts on the processor from here on; a forecast under way begins again.
+    pub fn forecast_here(&mut self) {
+        self.inner.forecast_here();
     }
 
     /// Where the run stands, without doing anything.

@@ -1,8 +1,9 @@
 //! The native trainer: runs and files, statistics, figures, reports, the paper's experiments, exports,
-//! measurements, Reacher in MuJoCo, and the command `mcvl`.
+//! measurements, Reacher in MuJoCo, forecasts on graphics cards, and the command `mcvl`.
 
 pub mod bench;
 pub mod export;
+pub mod gpu;
 pub mod mujoco;
 pub mod report;
 pub mod reproduce;

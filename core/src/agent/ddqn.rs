@@ -96,6 +96,21 @@ impl Ddqn {
         u64::from(batch) * (3 * self.online.forward_work() + self.online.backward_work())
     }
 
+    /// Discount gamma, per step.
+    pub fn gamma(&self) -> f32 {
+        self.gamma
+    }
+
+    /// Share tau of θ that enters θ⁻ after an update.
+    pub fn tau(&self) -> f32 {
+        self.tau
+    }
+
+    /// The optimiser of the live network.
+    pub fn optimizer(&self) -> &Adam {
+        &self.optimizer
+    }
+
     /// The live network, Q(·; θ).
     pub fn online(&self) -> &Mlp {
         &self.online

@@ -4,10 +4,10 @@ use alloc::vec::Vec;
 use core::task::Poll;
 
 use super::practice::Practising;
-use super::{ForecastError, ForecastJob, Forecaster};
+use super::{ForecastError, ForecastJob, Forecaster, Identity};
 use crate::agent::Agent;
-use crate::env::{Action, Environment};
-use crate::replay::{Forced, Minibatch, Transition, draw_slots};
+use crate::env::Environment;
+use crate::replay::{Forced, Minibatch, draw_slots};
 use crate::rng::{Purpose, Rng};
 use crate::run::Budget;
 
@@ -19,35 +19,6 @@ pub struct CpuForecaster<E, A: Agent> {
     current: Option<Future<E, A>>,
     batch: Minibatch<A::Action>,
     slots: Vec<u32>,
-}
-
-/// What tells a job from another one. The learner itself is named by seed and version.
-#[derive(Clone, Debug)]
-struct Identity<A> {
-    seed: u64,
-    version: u64,
-    pushed: u64,
-    updates: u32,
-    batch: u32,
-    forced: Vec<Transition<A>>,
-    /// What practice begins with to see.
-    practice: Option<(Vec<f32>, bool)>,
-}
-
-impl<A: Action> Identity<A> {
-    fn new<E, G: Agent<Action = A>>(job: &ForecastJob<'_, E, G>) -> Self {
-        let ForecastJob { seed, version, updates, batch, .. } = *job;
-        let practice = job.practice.as_ref().map(|practice| (practice.observation.to_vec(), practice.ended));
-        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec(), practice }
-    }
-
-    fn is<E, G: Agent<Action = A>>(&self, job: &ForecastJob<'_, E, G>) -> bool {
-        let practice = self.practice.as_ref().map(|(observation, ended)| (&observation[..], *ended));
-        (self.seed, self.version, self.updates, self.batch) == (job.seed, job.version, job.updates, job.batch)
-            && self.pushed == job.replay.pushed()
-            && self.forced == job.forced
-            && practice == job.practice.as_ref().map(|practice| (practice.observation, practice.ended))
-    }
 }
 
 /// A copy in training.
@@ -149,7 +120,7 @@ mod tests {
     use crate::env::{Discrete, ObservationSpec};
     use crate::nn::mlp::{Mlp, Scratch};
     use crate::nn::rows::Rows;
-    use crate::replay::ReplayBuffer;
+    use crate::replay::{ReplayBuffer, Transition};
     use alloc::vec;
 
     const SPEC: ObservationSpec = ObservationSpec { width: 3, binary: true };

@@ -12,6 +12,7 @@ use core::fmt;
 use core::task::Poll;
 
 use crate::agent::Agent;
+use crate::env::Action;
 use crate::replay::{ReplayBuffer, Transition};
 use crate::run::Budget;
 
@@ -63,6 +64,38 @@ impl<E, A: Agent> ForecastJob<'_, E, A> {
     /// Updates of a copy of the reward model that will be made, before those of the value function.
     pub fn reward_updates(&self) -> u32 {
         if self.value_updates() == 0 { 0 } else { self.practice.as_ref().map_or(0, |practice| practice.reward_updates) }
+    }
+}
+
+/// What tells a job from another one, for back ends that are asked for the same jobs again and again. The learner
+/// itself is named by seed and version.
+#[derive(Clone, Debug)]
+pub struct Identity<A> {
+    seed: u64,
+    version: u64,
+    pushed: u64,
+    updates: u32,
+    batch: u32,
+    forced: Vec<Transition<A>>,
+    /// What practice begins with to see.
+    practice: Option<(Vec<f32>, bool)>,
+}
+
+impl<A: Action> Identity<A> {
+    /// That of a job.
+    pub fn new<E, G: Agent<Action = A>>(job: &ForecastJob<'_, E, G>) -> Self {
+        let ForecastJob { seed, version, updates, batch, .. } = *job;
+        let practice = job.practice.as_ref().map(|practice| (practice.observation.to_vec(), practice.ended));
+        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec(), practice }
+    }
+
+    /// Whether `job` is the one.
+    pub fn is<E, G: Agent<Action = A>>(&self, job: &ForecastJob<'_, E, G>) -> bool {
+        let practice = self.practice.as_ref().map(|(observation, ended)| (&observation[..], *ended));
+        (self.seed, self.version, self.updates, self.batch) == (job.seed, job.version, job.updates, job.batch)
+            && self.pushed == job.replay.pushed()
+            && self.forced == job.forced
+            && practice == job.practice.as_ref().map(|practice| (practice.observation, practice.ended))
     }
 }
 

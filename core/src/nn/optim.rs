@@ -124,6 +124,27 @@ impl Adam {
         self.steps
     }
 
+    /// Its settings.
+    pub fn config(&self) -> AdamConfig {
+        self.config
+    }
+
+    /// First moments, second moments and, for AMSGrad, the largest second moments so far (empty otherwise), in
+    /// the layout of the parameters.
+    pub fn moments(&self) -> (&[f32], &[f32], &[f32]) {
+        (&self.m, &self.v, &self.max_v)
+    }
+
+    /// Whether first-layer row `index` may change: it had a gradient once, or rows are not told apart.
+    pub fn is_live(&self, index: usize) -> bool {
+        self.live.get(index).is_none_or(|live| *live)
+    }
+
+    /// What corrects the bias of the moments in each of the steps to come.
+    pub fn corrections(&self) -> Corrections {
+        Corrections { lr: self.config.lr, power1: self.power1, power2: self.power2 }
+    }
+
     /// Notes that first-layer row `index` has a gradient now.
     pub fn touch(&mut self, index: u32) {
         if let Some(live) = self.live.get_mut(index as usize) {
@@ -135,16 +156,17 @@ impl Adam {
     /// All slices have the length the state was made for.
     pub fn step(&mut self, params: &mut [f32], grads: &[f32], mut target: Option<(&mut [f32], f32)>) {
         self.steps += 1;
-        self.power1 *= BETA1;
-        self.power2 *= BETA2;
+        let mut corrections = self.corrections();
+        let [rate, root] = corrections.advance();
+        (self.power1, self.power2) = (corrections.power1, corrections.power2);
         let constants = Constants {
             keep1: BETA1 as f32,
             add1: (1.0 - BETA1) as f32,
             keep2: BETA2 as f32,
             add2: (1.0 - BETA2) as f32,
-            rate: (f64::from(self.config.lr) / (1.0 - self.power1)) as f32,
-            root: (1.0 / libm::sqrt(1.0 - self.power2)) as f32,
-            shrink: 1.0 - self.config.lr * self.config.decay(),
+            rate,
+            root,
+            shrink: self.config.shrink(),
             clip: if self.config.clip > 0.0 { self.config.clip } else { f32::INFINITY },
             tau: target.as_ref().map_or(0.0, |t| t.1),
         };
@@ -166,9 +188,32 @@ impl Adam {
     }
 }
 
+/// Bias corrections of consecutive steps: `[lr/(1 − β1ᵗ), 1/√(1 − β2ᵗ)]` for the next `t`, and so on.
+#[derive(Clone, Copy, Debug)]
+pub struct Corrections {
+    lr: f32,
+    power1: f64,
+    power2: f64,
+}
+
+impl Corrections {
+    /// Those of the next step.
+    pub fn advance(&mut self) -> [f32; 2] {
+        self.power1 *= BETA1;
+        self.power2 *= BETA2;
+        [(f64::from(self.lr) / (1.0 - self.power1)) as f32, (1.0 / libm::sqrt(1.0 - self.power2)) as f32]
+    }
+}
+
 impl AdamConfig {
-    fn amsgrad(&self) -> bool {
+    /// Whether the largest second moment so far divides.
+    pub fn amsgrad(&self) -> bool {
         matches!(self.kind, Optimizer::AmsGrad | Optimizer::AdamWAmsGrad)
+    }
+
+    /// Factor of a parameter before its step: decoupled weight decay.
+    pub fn shrink(&self) -> f32 {
+        1.0 - self.lr * self.decay()
     }
 
     /// Weight decay in force.

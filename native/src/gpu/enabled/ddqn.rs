@@ -1,0 +1,363 @@
+//! Jobs of DDQN learners for the kernel `ddqn.wgsl`: what goes to the device, and what comes back.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use mcvl_core::agent::Agent;
+use mcvl_core::agent::ddqn::Ddqn;
+use mcvl_core::config::{Config, Forced as ForcedKind};
+use mcvl_core::forecast::ForecastJob;
+use mcvl_core::nn::optim::{BETA1, BETA2, EPSILON};
+use mcvl_core::replay::{Forced, NO_ROW, draw_slots};
+use mcvl_core::rng::{Purpose, Rng};
+use wgpu::{Buffer, CommandEncoder, ComputePipeline};
+
+use super::super::GpuError;
+use super::device::Device;
+use super::worker::Training;
+
+/// Samples of a mini-batch at most, forced ones included; `SAMPLES` of the kernel.
+pub const SAMPLES: u32 = 64;
+/// Forced transitions of a check at most, in the way that appends the episode's last ones.
+const TAIL: u32 = 11;
+
+/// The kernel.
+pub const SOURCE: &str = include_str!("ddqn.wgsl");
+
+/// `Job` of the kernel.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+pub struct Job {
+    inputs: u32,
+    hidden: u32,
+    outputs: u32,
+    drawn: u32,
+    forced: u32,
+    updates: u32,
+    online: u32,
+    goal: u32,
+    first: u32,
+    second: u32,
+    largest: u32,
+    work: u32,
+    columns: u32,
+    slots: u32,
+    extra: u32,
+    rows: u32,
+    ones: u32,
+    draws: u32,
+    corrections: u32,
+    gamma: f32,
+    tau: f32,
+    keep_first: f32,
+    add_first: f32,
+    keep_second: f32,
+    add_second: f32,
+    epsilon: f32,
+    shrink: f32,
+    clip: f32,
+    amsgrad: u32,
+}
+
+/// Whether the kernel has runs of this configuration.
+///
+/// # Errors
+/// Why not.
+pub fn supports(config: &Config) -> Result<(), String> {
+    let forced = if config.forced == ForcedKind::Episode { TAIL } else { 1 };
+    if config.layers != 2 {
+        return Err(format!("the kernel has networks of two hidden layers, and layers = {}", config.layers));
+    }
+    if config.batch + forced > SAMPLES {
+        return Err(format!(
+            "the kernel has mini-batches of up to {} transitions, and batch = {}",
+            SAMPLES - forced,
+            config.batch
+        ));
+    }
+    Ok(())
+}
+
+/// What the jobs of one check have in common.
+#[derive(Debug)]
+struct Common {
+    /// Numbers of the inputs that are ever one, ascending: the kernel's inputs.
+    inputs: Vec<u32>,
+    /// Columns of the replay buffer: states, next states, actions, rewards.
+    columns: Vec<u32>,
+    slots: u32,
+    /// Where the ones of each observation begin, and the ones.
+    rows: Vec<u32>,
+    ones: Vec<u32>,
+    draws: Vec<u32>,
+}
+
+/// One job, ready for the device.
+#[derive(Debug)]
+pub struct Packed {
+    common: Arc<Common>,
+    /// Sizes and settings; the offsets are those within [`Packed::memory`] and unset elsewhere.
+    job: Job,
+    /// Parameters, target, moments: each `parameters` numbers.
+    memory: Vec<f32>,
+    parameters: u32,
+    /// Columns of the forced transitions.
+    extra: Vec<u32>,
+    corrections: Vec<u32>,
+}
+
+/// Packs jobs whose replay buffer, seed and version are one and the same.
+pub fn pack<E>(jobs: &[ForecastJob<'_, E, Ddqn>]) -> Vec<Packed> {
+    let Some(first) = jobs.first() else { return Vec::new() };
+    let columns = first.replay.columns();
+    let known = columns.observations.len() as u32;
+    // Observations of forced transitions that the buffer does not hold, of all jobs.
+    let mut others: Vec<Vec<u32>> = Vec::new();
+    let mut extras = Vec::new();
+    for job in jobs {
+        let forced = Forced::new(job.forced, job.replay);
+        let mut number = |id: u32| match id.checked_sub(known) {
+            None => id,
+            Some(extra) => {
+                let words = &forced.extra()[extra as usize];
+                let position = others.iter().position(|other| other == words).unwrap_or_else(|| {
+                    others.push(words.clone());
+                    others.len() - 1
+                });
+                known + position as u32
+            }
+        };
+        let entries: Vec<[u32; 4]> = forced
+            .entries()
+            .map(|(t, state, next)| {
+                let next = if t.terminated { NO_ROW } else { number(next) };
+                [number(state), next, u32::from(t.action.0), t.reward.to_bits()]
+            })
+            .collect();
+        extras.push((0..4).flat_map(|column| entries.iter().map(move |entry| entry[column])).collect::<Vec<u32>>());
+    }
+    let observations =
+        || columns.observations.iter().map(|words| &words[..]).chain(others.iter().map(|words| &words[..]));
+    let width = first.agent.online().sizes()[0];
+    let mut active = vec![false; width];
+    observations().flatten().for_each(|&index| active[index as usize] = true);
+    for job in jobs {
+        (0..width).filter(|&index| job.agent.optimizer().is_live(index)).for_each(|index| active[index] = true);
+    }
+    let inputs: Vec<u32> = (0u32..).zip(&active).filter(|(_, active)| **active).map(|(index, _)| index).collect();
+    let place: BTreeMap<u32, u32> = inputs.iter().copied().zip(0..).collect();
+    let (mut rows, mut ones) = (vec![0], Vec::new());
+    for words in observations() {
+        ones.extend(words.iter().map(|index| place[index]));
+        rows.push(ones.len() as u32);
+    }
+    let slots = first.replay.len();
+    let mut table = columns.state.to_vec();
+    table.extend(columns.next.iter().zip(columns.terminated).map(|(&next, &over)| if over { NO_ROW } else { next }));
+    table.extend(columns.action.iter().map(|action| u32::from(action.0)));
+    table.extend(columns.reward.iter().map(|reward| reward.to_bits()));
+    let updates = jobs.iter().map(ForecastJob::value_updates).max().unwrap_or(0);
+    let mut draws = Vec::with_capacity((updates * first.batch) as usize);
+    let (mut stream, mut drawn) = (Rng::stream(first.seed, Purpose::ForecastBatch, first.version), Vec::new());
+    for _ in 0..updates {
+        draw_slots(slots, first.batch, &mut stream, &mut drawn);
+        draws.extend_from_slice(&drawn);
+    }
+    let common = Arc::new(Common { inputs, columns: table, slots, rows, ones, draws });
+    jobs.iter().zip(extras).map(|(job, extra)| Packed::new(job, common.clone(), extra)).collect()
+}
+
+impl Packed {
+    fn new<E>(job: &ForecastJob<'_, E, Ddqn>, common: Arc<Common>, extra: Vec<u32>) -> Self {
+        let agent = job.agent.for_forecast(job.carry);
+        let (network, optimizer) = (agent.online(), agent.optimizer());
+        let sizes = network.sizes();
+        let (hidden, outputs) = (sizes[1], sizes[3]);
+        let (first, second, largest) = optimizer.moments();
+        let mut memory = Vec::new();
+        for values in [network.params(), agent.target().params(), first, second, largest] {
+            if values.is_empty() {
+                continue;
+            }
+            // Of the first layer only the inputs that are ever one.
+            for &input in &common.inputs {
+                let at = input as usize * hidden;
+                memory.extend_from_slice(&values[at..at + hidden]);
+            }
+            memory.extend_from_slice(&values[sizes[0] * hidden..]);
+        }
+        let parameters = (network.params().len() - (sizes[0] - common.inputs.len()) * hidden) as u32;
+        let (settings, updates) = (optimizer.config(), job.value_updates());
+        let mut corrections = optimizer.corrections();
+        let corrections = (0..updates).flat_map(|_| corrections.advance()).map(f32::to_bits).collect();
+        let job = Job {
+            inputs: common.inputs.len() as u32,
+            hidden: hidden as u32,
+            outputs: outputs as u32,
+            drawn: job.batch,
+            forced: job.forced.len() as u32,
+            updates,
+            slots: common.slots,
+            online: 0,
+            goal: parameters,
+            first: 2 * parameters,
+            second: 3 * parameters,
+            largest: 4 * parameters,
+            work: memory.len() as u32,
+            gamma: agent.gamma(),
+            tau: agent.tau(),
+            keep_first: BETA1 as f32,
+            add_first: (1.0 - BETA1) as f32,
+            keep_second: BETA2 as f32,
+            add_second: (1.0 - BETA2) as f32,
+            epsilon: EPSILON,
+            shrink: settings.shrink(),
+            clip: if settings.clip > 0.0 { settings.clip } else { f32::MAX },
+            amsgrad: u32::from(settings.amsgrad()),
+            ..Job::default()
+        };
+        Self { common, job, memory, parameters, extra, corrections }
+    }
+
+    /// Updates to make.
+    pub fn updates(&self) -> u32 {
+        self.job.updates
+    }
+
+    /// Working memory of the kernel, in numbers: activations of both networks, derivatives, and the gradient of the
+    /// first layer, in the order of `Work`.
+    fn work(&self) -> u32 {
+        let Job { inputs, hidden, outputs, .. } = self.job;
+        SAMPLES * (8 * hidden + 4 * outputs) + inputs * hidden
+    }
+
+    /// Bytes of the two large buffers. What jobs share is counted with each.
+    pub fn bytes(&self) -> [u64; 2] {
+        let Common { columns, rows, ones, draws, .. } = &*self.common;
+        let data = columns.len() + rows.len() + ones.len() + draws.len() + self.extra.len() + self.corrections.len();
+        [4 * (self.memory.len() as u64 + u64::from(self.work())), 4 * data as u64]
+    }
+
+    /// The learner with the parameters that came back. Only the live network is brought back: a future is rated
+    /// by its policy.
+    pub fn finished(&self, mut agent: Ddqn, values: &[f32]) -> Ddqn {
+        let hidden = self.job.hidden as usize;
+        let (first, rest) = values.split_at(self.common.inputs.len() * hidden);
+        let params = agent.online_mut().params_mut();
+        for (&input, row) in self.common.inputs.iter().zip(first.chunks_exact(hidden)) {
+            let at = input as usize * hidden;
+            params[at..at + hidden].copy_from_slice(row);
+        }
+        let tail = params.len() - rest.len();
+        params[tail..].copy_from_slice(rest);
+        agent
+    }
+}
+
+/// The kernel on a device.
+#[derive(Debug)]
+pub struct Kernel(ComputePipeline);
+
+impl Kernel {
+    /// Builds the kernel.
+    pub fn new(device: &Device) -> Self {
+        Self(device.pipeline("ddqn", SOURCE))
+    }
+}
+
+/// Jobs that train side by side.
+#[derive(Debug)]
+pub struct Batch {
+    pipeline: ComputePipeline,
+    bindings: wgpu::BindGroup,
+    memory: Buffer,
+    failures: Buffer,
+    span: Buffer,
+    /// Per job: where its parameters lie and how many there are.
+    places: Vec<(u32, u32)>,
+    updates: u32,
+}
+
+impl Batch {
+    /// Brings jobs to the device.
+    pub fn new(device: &Device, kernel: &Kernel, packed: &[Arc<Packed>]) -> Self {
+        let (mut jobs, mut memory, mut data) = (Vec::new(), 0u32, Vec::new());
+        let mut placed: BTreeMap<*const Common, [u32; 4]> = BTreeMap::new();
+        let mut places = Vec::new();
+        for job in packed {
+            let common = &job.common;
+            let [columns, rows, ones, draws] = *placed.entry(Arc::as_ptr(common)).or_insert_with(|| {
+                [&common.columns, &common.rows, &common.ones, &common.draws].map(|part| append(&mut data, part))
+            });
+            let (extra, corrections) = (append(&mut data, &job.extra), append(&mut data, &job.corrections));
+            let base = job.job;
+            jobs.push(Job {
+                online: memory + base.online,
+                goal: memory + base.goal,
+                first: memory + base.first,
+                second: memory + base.second,
+                largest: memory + base.largest,
+                work: memory + base.work,
+                columns,
+                extra,
+                rows,
+                ones,
+                draws,
+                corrections,
+                ..base
+            });
+            places.push((memory, job.parameters));
+            memory += job.memory.len() as u32 + job.work();
+        }
+        let buffer = device.buffer("ddqn memory", 4 * u64::from(memory), &[]);
+        for (job, (at, _)) in packed.iter().zip(&places) {
+            device.write(&buffer, 4 * u64::from(*at), bytemuck::cast_slice(&job.memory));
+        }
+        let described = device.buffer("ddqn jobs", 0, bytemuck::cast_slice(&jobs));
+        let data = device.buffer("ddqn data", 0, bytemuck::cast_slice(&data));
+        let failures = device.buffer("ddqn failures", 4 * jobs.len() as u64, &[]);
+        let span = device.uniform("ddqn span", 8);
+        let layout = kernel.0.get_bind_group_layout(0);
+        let bindings = device.bind("ddqn", &layout, &[&described, &data, &buffer, &failures, &span]);
+        let updates = packed.iter().map(|job| job.job.updates).max().unwrap_or(0);
+        Self { pipeline: kernel.0.clone(), bindings, memory: buffer, failures, span, places, updates }
+    }
+}
+
+fn append(data: &mut Vec<u32>, part: &[u32]) -> u32 {
+    let at = data.len() as u32;
+    data.extend_from_slice(part);
+    at
+}
+
+impl Training for Batch {
+    fn updates(&self) -> u32 {
+        self.updates
+    }
+
+    fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32) {
+        device.write(&self.span, 0, bytemuck::cast_slice(&[first, count]));
+        let mut pass =
+            commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("ddqn"), timestamp_writes: None });
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.bindings, &[]);
+        pass.dispatch_workgroups(self.places.len() as u32, 1, 1);
+    }
+
+    fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
+        let failures = device.read(&self.failures, &[(0, 4 * self.places.len() as u64)])?;
+        let ranges: Vec<_> = self.places.iter().map(|&(at, len)| (4 * u64::from(at), 4 * u64::from(len))).collect();
+        let values = device.read(&self.memory, &ranges)?;
+        let values: Vec<f32> = bytemuck::pod_collect_to_vec(&values);
+        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&failures);
+        let mut rest = &values[..];
+        let mut results = Vec::new();
+        for (&(_, len), &failure) in self.places.iter().zip(&failures) {
+            let (own, others) = rest.split_at(len as usize);
+            rest = others;
+            results.push(if failure == 0 { Ok(own.to_vec()) } else { Err(failure) });
+        }
+        Ok(results)
+    }
+}

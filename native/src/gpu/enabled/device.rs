@@ -1,0 +1,243 @@
+//! One device: how it is opened, what is allocated there, and how it fails.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use wgpu::{
+    Adapter, Backends, BindGroupLayout, Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor,
+    ComputePipeline, DeviceType, Instance, InstanceDescriptor, Limits, MapMode, PollError, PollType, Queue,
+    ShaderSource,
+};
+
+use super::super::{AdapterInfo, GpuError};
+
+/// A slice of work takes a twentieth of a second; a device that needs this long does not answer.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// An open device.
+#[derive(Debug)]
+pub struct Device {
+    info: AdapterInfo,
+    device: wgpu::Device,
+    queue: Queue,
+    /// What the device complained about since it was asked last.
+    complaint: Arc<Mutex<Option<GpuError>>>,
+}
+
+fn all() -> Vec<Adapter> {
+    let instance = Instance::new(InstanceDescriptor::new_without_display_handle());
+    pollster::block_on(instance.enumerate_adapters(Backends::all()))
+}
+
+fn about(adapter: &Adapter) -> AdapterInfo {
+    let info = adapter.get_info();
+    let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
+    AdapterInfo {
+        name: info.name,
+        driver: format!("{:?}, {}", info.backend, driver.trim()),
+        software: info.device_type == DeviceType::Cpu,
+    }
+}
+
+/// The adapters of this machine, the most powerful kind first.
+///
+/// # Errors
+/// None in this build.
+pub fn adapters() -> Result<Vec<AdapterInfo>, GpuError> {
+    Ok(sorted().iter().map(about).collect())
+}
+
+fn sorted() -> Vec<Adapter> {
+    let mut adapters = all();
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::VirtualGpu => 1,
+        DeviceType::IntegratedGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+impl Device {
+    /// Opens the adapter whose name contains `wanted` in any case, or the most powerful one.
+    pub fn open(wanted: Option<&str>) -> Result<Self, GpuError> {
+        let adapters = sorted();
+        let fits = |adapter: &&Adapter| {
+            wanted.is_none_or(|part| about(adapter).to_string().to_lowercase().contains(&part.to_lowercase()))
+        };
+        let adapter = adapters.iter().find(fits).ok_or_else(|| GpuError::NoAdapter {
+            wanted: wanted.map(str::to_owned),
+            found: adapters.iter().map(|adapter| about(adapter).to_string()).collect(),
+        })?;
+        // What the kernels need is little; the sizes of buffers are the adapter's own.
+        let (offered, least) = (adapter.limits(), Limits::downlevel_defaults());
+        let limits = Limits {
+            max_buffer_size: offered.max_buffer_size,
+            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+            ..least.or_worse_values_from(&offered)
+        };
+        let descriptor = wgpu::DeviceDescriptor { label: Some("mcvl"), required_limits: limits, ..Default::default() };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| GpuError::NoDevice(error.to_string()))?;
+        let complaint = Arc::new(Mutex::new(None));
+        let note = |complaint: &Mutex<Option<GpuError>>, error| {
+            // The first one is the cause.
+            complaint.lock().expect("nobody panics while noting").get_or_insert(error);
+        };
+        let noted = complaint.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            let text = error.to_string();
+            note(
+                &noted,
+                match error {
+                    wgpu::Error::OutOfMemory { .. } => GpuError::Memory(text),
+                    _ => GpuError::Lost(text),
+                },
+            );
+        }));
+        let noted = complaint.clone();
+        device.set_device_lost_callback(move |reason, text| {
+            note(&noted, GpuError::Lost(format!("{text} ({reason:?})")));
+        });
+        Ok(Self { info: about(adapter), device, queue, complaint })
+    }
+
+    /// The adapter.
+    pub fn info(&self) -> &AdapterInfo {
+        &self.info
+    }
+
+    /// Bytes that one buffer can have.
+    pub fn largest_buffer(&self) -> u64 {
+        let limits = self.device.limits();
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
+    /// A pipeline of one kernel; its bindings are those that the kernel declares.
+    pub fn pipeline(&self, name: &str, source: &str) -> ComputePipeline {
+        let source = ShaderSource::Wgsl(source.into());
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(name), source });
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: None,
+            module: &module,
+            entry_point: Some(name),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
+    }
+
+    /// A buffer of zeros with these numbers at its beginning.
+    pub fn buffer(&self, label: &str, bytes: u64, content: &[u8]) -> Buffer {
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+        let size = bytes.max(content.len() as u64).next_multiple_of(4).max(4);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        });
+        self.write(&buffer, 0, content);
+        buffer
+    }
+
+    /// A buffer for the few numbers that change from dispatch to dispatch.
+    pub fn uniform(&self, label: &str, bytes: u64) -> Buffer {
+        let usage = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Writes bytes into a buffer, before whatever is submitted next.
+    pub fn write(&self, buffer: &Buffer, offset: u64, bytes: &[u8]) {
+        if !bytes.is_empty() {
+            self.queue.write_buffer(buffer, offset, bytes);
+        }
+    }
+
+    /// Buffers as bindings 0, 1, and so on.
+    pub fn bind(&self, label: &str, layout: &BindGroupLayout, buffers: &[&Buffer]) -> wgpu::BindGroup {
+        let entries: Vec<_> = (0..)
+            .zip(buffers)
+            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+    }
+
+    /// An empty list of commands.
+    pub fn commands(&self, label: &str) -> CommandEncoder {
+        self.device.create_command_encoder(&CommandEncoderDescriptor { label: Some(label) })
+    }
+
+    /// Submits commands and waits until they are done.
+    ///
+    /// # Errors
+    /// If the device complains, is lost or takes too long.
+    pub fn run(&self, commands: CommandEncoder) -> Result<(), GpuError> {
+        let submission = self.queue.submit([commands.finish()]);
+        self.wait(Some(submission))
+    }
+
+    fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
+        let result = self.device.poll(PollType::Wait { submission_index, timeout: Some(PATIENCE) });
+        if let Some(complaint) = self.complaint.lock().expect("nobody panics while noting").take() {
+            return Err(complaint);
+        }
+        match result {
+            Ok(_) => Ok(()),
+            Err(PollError::Timeout) => Err(GpuError::Lost(format!("no answer for {} s", PATIENCE.as_secs()))),
+            Err(error) => Err(GpuError::Lost(error.to_string())),
+        }
+    }
+
+    /// Numbers of a buffer: ranges of it, in bytes, one after the other.
+    ///
+    /// # Errors
+    /// See [`Device::run`].
+    pub fn read(&self, buffer: &Buffer, ranges: &[(u64, u64)]) -> Result<Vec<u8>, GpuError> {
+        let bytes: u64 = ranges.iter().map(|(_, len)| len).sum();
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let size = bytes;
+        let copy = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size,
+            usage,
+            mapped_at_creation: false,
+        });
+        let mut commands = self.commands("read back");
+        let mut at = 0;
+        for &(from, len) in ranges {
+            commands.copy_buffer_to_buffer(buffer, from, &copy, at, len);
+            at += len;
+        }
+        self.run(commands)?;
+        let mapped = Arc::new(Mutex::new(None));
+        let answer = mapped.clone();
+        copy.slice(..).map_async(MapMode::Read, move |result| {
+            *answer.lock().expect("nobody panics while noting") = Some(result);
+        });
+        self.wait(None)?;
+        let result = mapped.lock().expect("nobody panics while noting").take();
+        match result {
+            Some(Ok(())) => {}
+            Some(Err(error)) => return Err(GpuError::Lost(error.to_string())),
+            None => return Err(GpuError::Lost("a buffer cannot be read".to_owned())),
+        }
+        let view = copy.slice(..).get_mapped_range().map_err(|error| GpuError::Lost(error.to_string()))?;
+        Ok(view.to_vec())
+    }
+
+    /// Ends the device's life, as a driver that resets does.
+    #[cfg(test)]
+    pub fn destroy(&self) {
+        self.device.destroy();
+    }
+}

@@ -1,0 +1,121 @@
+//! The forecaster of one run: hands its jobs in and waits.
+
+use std::fmt;
+use std::sync::Arc;
+use std::task::Poll;
+
+use mcvl_core::agent::Agent;
+use mcvl_core::agent::ddqn::Ddqn;
+use mcvl_core::forecast::{ForecastError, ForecastJob, Forecaster, Identity};
+use mcvl_core::run::Budget;
+
+use super::ddqn;
+use super::worker::{Desk, Ticket, Waiting, Work};
+
+/// A learner that a kernel trains.
+pub trait OnDevice: Agent {
+    /// A job, ready for the device.
+    type Packed;
+    /// Packs jobs whose replay buffer, seed and version are one and the same.
+    fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<Self::Packed>;
+    /// The order of a job.
+    fn order(packed: Arc<Self::Packed>) -> Work;
+    /// The learner of a job with the parameters that came back.
+    fn finished(&self, packed: &Self::Packed, values: &[f32]) -> Self;
+}
+
+impl OnDevice for Ddqn {
+    type Packed = ddqn::Packed;
+
+    fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<ddqn::Packed> {
+        ddqn::pack(jobs)
+    }
+
+    fn order(packed: Arc<ddqn::Packed>) -> Work {
+        Work::Ddqn(packed)
+    }
+
+    fn finished(&self, packed: &ddqn::Packed, values: &[f32]) -> Self {
+        packed.finished(self.clone(), values)
+    }
+}
+
+/// Trains the futures of one run at a desk.
+pub struct GpuForecaster<A: OnDevice> {
+    desk: Arc<Desk>,
+    waiting: Arc<Waiting>,
+    jobs: Vec<Identity<A::Action>>,
+    orders: Vec<(Arc<A::Packed>, Arc<Ticket>)>,
+}
+
+impl<A: OnDevice> fmt::Debug for GpuForecaster<A> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("GpuForecaster").field("jobs", &self.jobs.len()).finish_non_exhaustive()
+    }
+}
+
+impl<A: OnDevice> GpuForecaster<A> {
+    /// A forecaster whose waiting shows in `waiting`.
+    pub fn new(desk: Arc<Desk>, waiting: Arc<Waiting>) -> Self {
+        Self { desk, waiting, jobs: Vec::new(), orders: Vec::new() }
+    }
+
+    fn forget(&mut self) {
+        self.orders.iter().for_each(|(_, ticket)| ticket.cancel());
+        self.orders.clear();
+        self.jobs.clear();
+        self.waiting.set(Vec::new());
+    }
+}
+
+impl<A: OnDevice> Drop for GpuForecaster<A> {
+    fn drop(&mut self) {
+        self.forget();
+    }
+}
+
+impl<E, A: OnDevice> Forecaster<E, A> for GpuForecaster<A> {
+    fn poll(&mut self, jobs: &[ForecastJob<'_, E, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>> {
+        if self.jobs.len() != jobs.len() || !self.jobs.iter().zip(jobs).all(|(known, job)| known.is(job)) {
+            self.forget();
+            self.jobs = jobs.iter().map(Identity::new).collect();
+            // The kernels draw the mini-batches of a batch of jobs once.
+            let alike = |pair: &[ForecastJob<'_, E, A>]| {
+                (pair[0].seed, pair[0].version, pair[0].batch) == (pair[1].seed, pair[1].version, pair[1].batch)
+                    && std::ptr::eq(pair[0].replay, pair[1].replay)
+            };
+            let packed: Vec<Arc<A::Packed>> = if jobs.windows(2).all(alike) {
+                A::pack(jobs).into_iter().map(Arc::new).collect()
+            } else {
+                jobs.chunks(1).flat_map(A::pack).map(Arc::new).collect()
+            };
+            let tickets = self.desk.order(packed.iter().cloned().map(A::order).collect());
+            self.waiting.set(tickets.clone());
+            self.orders = packed.into_iter().zip(tickets).collect();
+            budget.spend(1);
+        }
+        if !self.orders.iter().all(|(_, ticket)| ticket.is_ready()) {
+            return Poll::Pending;
+        }
+        let mut futures = Vec::new();
+        let mut failure = None;
+        for ((packed, ticket), job) in self.orders.iter().zip(jobs) {
+            match ticket.take() {
+                Some(Ok(values)) => futures.push(job.agent.finished(packed, &values)),
+                Some(Err(error)) => failure = failure.or(Some(error)),
+                None => unreachable!("every ticket is ready"),
+            }
+        }
+        self.forget();
+        Poll::Ready(failure.map_or(Ok(futures), Err))
+    }
+
+    fn progress(&self) -> f32 {
+        let done: f32 = self.orders.iter().map(|(_, ticket)| ticket.progress()).sum();
+        done / self.orders.len().max(1) as f32
+    }
+
+    fn cancel(&mut self) {
+        self.forget();
+    }
+}

@@ -1,0 +1,84 @@
+//! What forecasts on a graphics card where this program was built with them.
+
+mod ddqn;
+mod device;
+mod forecaster;
+#[cfg(test)]
+mod tests;
+mod worker;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use mcvl_core::agent::ddqn::Ddqn;
+use mcvl_core::config::{Against, Config};
+use mcvl_core::env::trap::Trapped;
+use mcvl_core::run::Run;
+
+use device::Device;
+pub use device::adapters;
+use forecaster::GpuForecaster;
+use worker::Desk;
+
+use super::{AdapterInfo, GpuError};
+
+/// A device that forecasts, with the thread that owns it. Copies share both; the thread ends with the last copy
+/// and the last equipped run.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    desk: Arc<Desk>,
+}
+
+/// The place of one run at a device.
+#[derive(Clone, Debug)]
+pub struct Seat(Arc<worker::Waiting>);
+
+impl Gpu {
+    /// Opens the adapter whose name contains `adapter`, or the most powerful one, and starts its thread.
+    ///
+    /// # Errors
+    /// If there is no such adapter, or it gives no device.
+    pub fn open(adapter: Option<&str>) -> Result<Self, GpuError> {
+        Ok(Self { desk: Desk::open(Device::open(adapter)?) })
+    }
+
+    /// The adapter.
+    pub fn adapter(&self) -> &AdapterInfo {
+        self.desk.adapter()
+    }
+
+    /// Whether a run of this configuration can forecast there.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn supports(&self, config: &Config) -> Result<(), String> {
+        if config.practice {
+            return Err("its forecasts practise in copies of the world".to_owned());
+        }
+        if config.against != Against::Forecast && config.forecast == 0 {
+            return Err("it makes no forecasts".to_owned());
+        }
+        ddqn::supports(config)
+    }
+
+    /// Lets a run forecast there from here on; `None`, with nothing changed, if [`Gpu::supports`] does not.
+    pub fn equip(&self, run: &mut Run) -> Option<Seat> {
+        self.supports(run.config()).ok()?;
+        let waiting = Arc::new(worker::Waiting::default());
+        let forecaster = GpuForecaster::<Ddqn>::new(self.desk.clone(), waiting.clone());
+        run.forecast_with::<Trapped, Ddqn>(Box::new(forecaster)).ok()?;
+        Some(Seat(waiting))
+    }
+
+    /// Waits until something was finished, or for this long.
+    pub fn wait(&self, time: Duration) {
+        self.desk.wait(time);
+    }
+}
+
+impl Seat {
+    /// Whether the run can do nothing but wait.
+    pub fn waits(&self) -> bool {
+        self.0.now()
+    }
+}

@@ -1,0 +1,1 @@
+//! Kernels without a device; futures of a device against the processor's.
