@@ -39,8 +39,10 @@ pub enum GpuError {
     NoDevice(String),
     /// The device is gone or does not answer.
     Lost(String),
-    /// Not even one network fits the device.
+    /// The device ran out of memory.
     Memory(String),
+    /// One forecast alone is more than the device can do.
+    TooLarge(String),
 }
 
 impl fmt::Display for GpuError {
@@ -63,7 +65,16 @@ impl fmt::Display for GpuError {
                 "the device does not answer: {why}. What was saved is intact: go on with --resume, or on the \
                  processor with --resume --backend cpu"
             ),
-            Self::Memory(why) => write!(f, "the device has not enough memory: {why}; take --backend cpu"),
+            Self::Memory(why) => write!(
+                f,
+                "the device has not enough memory: {why}. What was saved is intact: go on with --resume and fewer seeds \
+                 at a time, or with --resume --backend cpu"
+            ),
+            Self::TooLarge(why) => write!(
+                f,
+                "a forecast is too large for the device: {why}. What was saved is intact: go on with --resume --backend \
+                 cpu"
+            ),
         }
     }
 }

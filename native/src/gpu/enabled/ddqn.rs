@@ -19,45 +19,68 @@ use super::worker::Training;
 
 /// Samples of a mini-batch at most, forced ones included; `SAMPLES` of the kernel.
 pub const SAMPLES: u32 = 64;
+/// Invocations of a workgroup, and rows that one of them sums side by side: `THREADS` and `TILE` of the kernel.
+pub const THREADS: u32 = 128;
+pub const TILE: u32 = 16;
 /// Forced transitions of a check at most, in the way that appends the episode's last ones.
 const TAIL: u32 = 11;
 
 /// The kernel.
 pub const SOURCE: &str = include_str!("ddqn.wgsl");
 
-/// `Job` of the kernel.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-pub struct Job {
-    inputs: u32,
-    hidden: u32,
-    outputs: u32,
-    drawn: u32,
-    forced: u32,
-    updates: u32,
-    online: u32,
-    goal: u32,
-    first: u32,
-    second: u32,
-    largest: u32,
-    work: u32,
-    columns: u32,
-    slots: u32,
-    extra: u32,
-    rows: u32,
-    ones: u32,
-    draws: u32,
-    corrections: u32,
-    gamma: f32,
-    tau: f32,
-    keep_first: f32,
-    add_first: f32,
-    keep_second: f32,
-    add_second: f32,
-    epsilon: f32,
-    shrink: f32,
-    clip: f32,
-    amsgrad: u32,
+/// A struct of four-byte numbers that a kernel reads.
+macro_rules! record {
+    ($(#[$about:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
+        $(#[$about])*
+        #[repr(C)]
+        #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+        pub struct $name {
+            $($field: $kind),*
+        }
+
+        impl $name {
+            /// Names and offsets of the fields.
+            #[cfg(test)]
+            pub fn layout() -> Vec<(String, u32)> {
+                vec![$((stringify!($field).to_owned(), std::mem::offset_of!($name, $field) as u32)),*]
+            }
+        }
+    };
+}
+
+record! {
+    /// `Job` of the kernel.
+    Job {
+        inputs: u32,
+        hidden: u32,
+        outputs: u32,
+        drawn: u32,
+        forced: u32,
+        updates: u32,
+        online: u32,
+        goal: u32,
+        first: u32,
+        second: u32,
+        largest: u32,
+        work: u32,
+        columns: u32,
+        slots: u32,
+        extra: u32,
+        rows: u32,
+        ones: u32,
+        draws: u32,
+        corrections: u32,
+        gamma: f32,
+        tau: f32,
+        keep_first: f32,
+        add_first: f32,
+        keep_second: f32,
+        add_second: f32,
+        epsilon: f32,
+        shrink: f32,
+        clip: f32,
+        amsgrad: u32,
+    }
 }
 
 /// Whether the kernel has runs of this configuration.
@@ -232,6 +255,29 @@ impl Packed {
         SAMPLES * (8 * hidden + 4 * outputs) + inputs * hidden
     }
 
+    /// Turns of the loops of one invocation in one update, at most; loops of constant length are unrolled.
+    pub fn loops(&self) -> u32 {
+        let Job { inputs, hidden, outputs, drawn, forced, .. } = self.job;
+        let samples = drawn + forced;
+        let parts = |count: u32| count.div_ceil(THREADS);
+        let blocks = |count: u32| count.div_ceil(TILE);
+        let most = self.common.rows.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0);
+        // By rows: the first layer, the second, the outputs; forwards, and for the second layer backwards.
+        let first = |rows: u32| parts(hidden) * (1 + rows * (2 + most));
+        let second = |rows: u32| (1 + blocks(rows)) * (2 + parts(hidden)) * (2 + parts(hidden) + hidden + 2 * TILE);
+        let last = |rows: u32| (1 + parts(rows * outputs)) * (2 + hidden);
+        let rows = 2 * samples;
+        let forward = first(rows) + second(rows) + last(rows) + first(samples) + second(samples) + last(samples);
+        let loss = 8 * SAMPLES + (1 + parts(samples * outputs)) * (2 + samples) + 2 * outputs;
+        let backward = 2 * second(samples);
+        let tiles = |inputs: u32| (1 + blocks(inputs)) * (1 + parts(hidden)) * (3 + samples + SAMPLES * TILE / THREADS);
+        let steps = tiles(hidden)
+            + (1 + parts(hidden * outputs)) * (2 + samples)
+            + parts(hidden) * (2 * inputs + samples * (2 + most))
+            + 3 * (1 + parts(hidden)) * (2 + samples);
+        forward + loss + backward + steps
+    }
+
     /// Bytes of the two large buffers. What jobs share is counted with each.
     pub fn bytes(&self) -> [u64; 2] {
         let Common { columns, rows, ones, draws, .. } = &*self.common;
@@ -277,6 +323,8 @@ pub struct Batch {
     /// Per job: where its parameters lie and how many there are.
     places: Vec<(u32, u32)>,
     updates: u32,
+    /// Turns of loops in one update of the longest job.
+    loops: u32,
 }
 
 impl Batch {
@@ -321,7 +369,8 @@ impl Batch {
         let layout = kernel.0.get_bind_group_layout(0);
         let bindings = device.bind("ddqn", &layout, &[&described, &data, &buffer, &failures, &span]);
         let updates = packed.iter().map(|job| job.job.updates).max().unwrap_or(0);
-        Self { pipeline: kernel.0.clone(), bindings, memory: buffer, failures, span, places, updates }
+        let loops = packed.iter().map(|job| job.loops()).max().unwrap_or(1);
+        Self { pipeline: kernel.0.clone(), bindings, memory: buffer, failures, span, places, updates, loops }
     }
 }
 
@@ -334,6 +383,10 @@ fn append(data: &mut Vec<u32>, part: &[u32]) -> u32 {
 impl Training for Batch {
     fn updates(&self) -> u32 {
         self.updates
+    }
+
+    fn longest_slice(&self, limit: Option<u32>) -> u32 {
+        limit.map_or(u32::MAX, |limit| (limit / self.loops).max(1))
     }
 
     fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32) {

@@ -275,6 +275,16 @@ const RELU = 1u;
 /// Zero where `gate` is not positive.
 const GATED = 2u;
 
+fn finished(sum: f32, finish: u32, gate: u32) -> f32 {
+    if finish == RELU {
+        return relu(sum);
+    }
+    if finish == GATED && !(memory[gate] > 0.0) {
+        return 0.0;
+    }
+    return sum;
+}
+
 /// `out = start + A·B` with A `[count, inner]` and B `[inner, columns]`, or Bᵀ `[columns, inner]` where
 /// `transposed`; `start` is the bias, or zero for `NO_ROW`.
 fn product(
@@ -300,13 +310,13 @@ fn product(
                 let term = memory[a + row * inner + k] * memory[b + k * step + column * stride];
                 sum += term;
             }
-            memory[out + at] = sum;
+            memory[out + at] = finished(sum, finish, gate + at);
         }
     } else {
         for (var top = 0u; top < count; top += TILE) {
             let rows = min(TILE, count - top);
-            for (var from = 0u; from < columns; from += THREADS) {
-                let column = from + thread;
+            for (var edge = 0u; edge < columns; edge += THREADS) {
+                let column = edge + thread;
                 var sums: array<f32, TILE>;
                 for (var r = 0u; r < TILE; r += 1u) {
                     sums[r] = 0.0;
@@ -340,13 +350,7 @@ fn product(
                 if column < columns {
                     for (var r = 0u; r < rows; r += 1u) {
                         let at = (top + r) * columns + column;
-                        var x = sums[r];
-                        if finish == RELU {
-                            x = relu(x);
-                        } else if finish == GATED {
-                            x = select(0.0, x, memory[gate + at] > 0.0);
-                        }
-                        memory[out + at] = x;
+                        memory[out + at] = finished(sums[r], finish, gate + at);
                     }
                 }
             }
@@ -386,15 +390,49 @@ fn step_parameter(job: Job, corrections: vec2<f32>, index: u32, raw: f32) {
 fn step_layer(
     job: Job, corrections: vec2<f32>, x: u32, inputs: u32, delta: u32, columns: u32, count: u32, at: u32, thread: u32,
 ) {
-    for (var index = thread; index < inputs * columns; index += THREADS) {
-        let row = index / columns;
-        let column = index % columns;
-        var sum = 0.0;
-        for (var sample = 0u; sample < count; sample += 1u) {
-            let term = memory[x + sample * inputs + row] * memory[delta + sample * columns + column];
-            sum += term;
+    if columns < TILE {
+        // A sum per thread: few columns.
+        for (var index = thread; index < inputs * columns; index += THREADS) {
+            let row = index / columns;
+            let column = index % columns;
+            var sum = 0.0;
+            for (var sample = 0u; sample < count; sample += 1u) {
+                let term = memory[x + sample * inputs + row] * memory[delta + sample * columns + column];
+                sum += term;
+            }
+            step_parameter(job, corrections, at + index, sum);
         }
-        step_parameter(job, corrections, at + index, sum);
+    } else {
+        for (var top = 0u; top < inputs; top += TILE) {
+            let rows = min(TILE, inputs - top);
+            workgroupBarrier();
+            for (var place = thread; place < SAMPLES * TILE; place += THREADS) {
+                let sample = place / TILE;
+                let row = place % TILE;
+                var number = 0.0;
+                if sample < count && row < rows {
+                    number = memory[x + sample * inputs + top + row];
+                }
+                left[place] = number;
+            }
+            workgroupBarrier();
+            for (var column = thread; column < columns; column += THREADS) {
+                var sums: array<f32, TILE>;
+                for (var r = 0u; r < TILE; r += 1u) {
+                    sums[r] = 0.0;
+                }
+                for (var sample = 0u; sample < count; sample += 1u) {
+                    let right = memory[delta + sample * columns + column];
+                    for (var r = 0u; r < TILE; r += 1u) {
+                        let term = left[sample * TILE + r] * right;
+                        sums[r] += term;
+                    }
+                }
+                for (var r = 0u; r < rows; r += 1u) {
+                    step_parameter(job, corrections, at + (top + r) * columns + column, sums[r]);
+                }
+            }
+        }
     }
     step_biases(job, corrections, delta, columns, count, at + inputs * columns, thread);
 }

@@ -14,6 +14,10 @@ use super::super::{AdapterInfo, GpuError};
 /// A slice of work takes a twentieth of a second; a device that needs this long does not answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Turns of all loops together after which software devices end every loop of an invocation, whatever its condition
+/// (Mesa's llvmpipe, `LP_MAX_TGSI_LOOP_ITERATIONS`): what comes out then is wrong without a word.
+const SOFTWARE_LOOPS: u32 = 65_535;
+
 /// An open device.
 #[derive(Debug)]
 pub struct Device {
@@ -106,6 +110,11 @@ impl Device {
     /// The adapter.
     pub fn info(&self) -> &AdapterInfo {
         &self.info
+    }
+
+    /// Turns of loops that one invocation may make, where there is a limit.
+    pub fn loop_limit(&self) -> Option<u32> {
+        self.info.software.then_some(SOFTWARE_LOOPS)
     }
 
     /// Bytes that one buffer can have.

@@ -27,6 +27,8 @@ const BATCH_BYTES: u64 = 2 << 30;
 pub trait Training: Debug {
     /// Updates of the longest job.
     fn updates(&self) -> u32;
+    /// Updates that one dispatch may make, where the device has a limit on their loops.
+    fn longest_slice(&self, limit: Option<u32>) -> u32;
     /// Commands for the updates `first..first + count` of every job.
     fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32);
     /// Parameters that a job brings back, or 1 + the update whose loss was no finite number; in the order of the jobs.
@@ -55,6 +57,20 @@ impl Work {
         match self {
             Self::Ddqn(packed) => packed.bytes(),
         }
+    }
+
+    /// Whether one job alone is more than the device can do.
+    fn too_large(&self, largest: u64, loops: Option<u32>) -> Option<GpuError> {
+        let needed = self.bytes().into_iter().max().unwrap_or(0);
+        if needed > largest {
+            let (needed, largest) = (needed >> 20, largest >> 20);
+            return Some(GpuError::TooLarge(format!(
+                "it needs {needed} MiB in one buffer, and there may be {largest}"
+            )));
+        }
+        let Self::Ddqn(packed) = self;
+        let limit = loops.filter(|limit| packed.loops() > *limit)?;
+        Some(GpuError::TooLarge(format!("an update has {} turns of loops, and there may be {limit}", packed.loops())))
     }
 }
 
@@ -231,8 +247,8 @@ impl Worker {
 
     fn work(mut self) {
         while let Some(orders) = self.orders() {
-            let result = self.admit(orders).and_then(|()| self.advance());
-            if let Err(failure) = result {
+            self.admit(orders);
+            if let Err(failure) = self.advance() {
                 self.fail(failure);
             }
             self.room.finished.notify_all();
@@ -258,19 +274,16 @@ impl Worker {
     }
 
     /// Brings orders to the device, in as many batches as its memory takes.
-    fn admit(&mut self, orders: Vec<Order>) -> Result<(), GpuError> {
+    fn admit(&mut self, orders: Vec<Order>) {
         let largest = self.device.largest_buffer().min(BATCH_BYTES);
         let mut group: Vec<Order> = Vec::new();
         let mut sum = [0u64; 2];
         for order in orders {
-            let bytes = order.work.bytes();
-            if bytes.iter().any(|bytes| *bytes > largest) {
-                let needed = bytes.iter().max().unwrap_or(&0) >> 20;
-                let why = format!("a forecast needs {needed} MiB in one buffer, and there may be {}", largest >> 20);
-                let error = ForecastError::BackEnd(GpuError::Memory(why).to_string());
-                order.ticket.finish(Err(error));
+            if let Some(error) = order.work.too_large(largest, self.device.loop_limit()) {
+                order.ticket.finish(Err(ForecastError::BackEnd(error.to_string())));
                 continue;
             }
+            let bytes = order.work.bytes();
             if sum.iter().zip(bytes).any(|(sum, bytes)| sum + bytes > largest) {
                 self.start(std::mem::take(&mut group));
                 sum = [0; 2];
@@ -279,7 +292,6 @@ impl Worker {
             group.push(order);
         }
         self.start(group);
-        Ok(())
     }
 
     fn start(&mut self, orders: Vec<Order>) {
@@ -307,7 +319,8 @@ impl Worker {
         let start = Instant::now();
         let mut commands = self.device.commands("slice");
         for running in &mut self.running {
-            let count = self.slice.min(running.training.updates() - running.done);
+            let longest = running.training.longest_slice(self.device.loop_limit());
+            let count = self.slice.min(longest).min(running.training.updates() - running.done);
             if count > 0 {
                 running.training.encode(&self.device, &mut commands, running.done, count);
                 running.done += count;
