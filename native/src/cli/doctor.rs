@@ -5,8 +5,8 @@ use std::path::Path;
 use std::{fs, io, process};
 
 use clap::Args;
-use mcvl::mujoco;
 use mcvl::runs::Manifest;
+use mcvl::{gpu, mujoco};
 use mcvl_core::exact;
 use serde_json::json;
 
@@ -27,6 +27,7 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
     let different = different_stages();
     let disk = writable(Path::new("."));
     let mujoco = mujoco::library();
+    let adapters = gpu::adapters();
     let stderr = io::stderr().is_terminal();
     if arguments.json {
         let value = json!({
@@ -44,6 +45,13 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
                 "version": mujoco.as_ref().ok().map(|library| &library.version),
                 "file": mujoco.as_ref().ok().and_then(|library| library.file.as_ref()),
                 "error": mujoco.as_ref().err().map(ToString::to_string),
+            },
+            "adapters": {
+                "found": adapters.as_ref().ok().map(|found| {
+                    let value = |a: &gpu::AdapterInfo| json!({ "name": a.name, "driver": a.driver, "software": a.software });
+                    found.iter().map(value).collect::<Vec<_>>()
+                }),
+                "error": adapters.as_ref().err().map(ToString::to_string),
             },
             "disk": disk.as_ref().err().map(ToString::to_string),
             "terminal": { "stdout": io::stdout().is_terminal(), "stderr": stderr, "color": terminal.color },
@@ -68,6 +76,11 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             },
             Err(error) => error.to_string(),
         };
+        let graphics = match &adapters {
+            Ok(found) if found.is_empty() => gpu::GpuError::NoAdapter { wanted: None, found: Vec::new() }.to_string(),
+            Ok(found) => found.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "),
+            Err(error) => error.to_string(),
+        };
         let progress = if stderr { "progress as bars" } else { "no terminal: progress as plain lines" };
         let rows = [
             ("mcvl", format!("{} ({})", about.version, about.commit.as_deref().unwrap_or("commit unknown"))),
@@ -76,6 +89,7 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             ("vectors", format!("{} (speed only: every unit gives the same bits)", about.vector)),
             ("arithmetic", exactness),
             ("MuJoCo", mujoco),
+            ("graphics", graphics),
             ("disk", disk),
             ("terminal", progress.to_owned()),
         ];

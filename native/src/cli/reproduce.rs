@@ -12,7 +12,7 @@ use mcvl::reproduce::figures::DRAWINGS;
 use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::{self, Cell, Experiment, TARGETS};
 use mcvl::reproduce::{BEGIN, END, QUICK, RECORD_SUFFIX, Record, Results, Verdict, judge, markdown, put};
-use mcvl::runs::{Lock, Manifest, Plan, RunDir, RunSet, RunsError, State, write_atomic};
+use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunSet, RunsError, State, write_atomic};
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
 use serde::{Deserialize, Serialize};
 
@@ -131,7 +131,8 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     if !open.is_empty() {
         stop_on_signals()?;
     }
-    let manner = arguments.manner(&folder);
+    let remote = if open.is_empty() { None } else { arguments.pace.remote(terminal)? };
+    let manner = arguments.manner(&folder, remote);
     let count = open.len();
     for (number, wanted) in (1..).zip(open) {
         let setup = format!("{}, {}", wanted.plan.config, seeds_words(&wanted.plan.seeds));
@@ -221,7 +222,7 @@ impl ReproduceArgs {
         wanted.collect()
     }
 
-    fn manner(&self, folder: &Folder) -> Manner {
+    fn manner(&self, folder: &Folder, remote: Option<Remote>) -> Manner {
         let mut resume = String::from("mcvl reproduce");
         let mut add = |part: &str| {
             resume.push(' ');
@@ -239,7 +240,7 @@ impl ReproduceArgs {
         if self.output.is_some() {
             add(&format!("-o {}", folder.0.display()));
         }
-        self.pace.manner(resume)
+        self.pace.manner(resume, remote)
     }
 }
 

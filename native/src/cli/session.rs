@@ -7,10 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
+use mcvl::gpu::Gpu;
 use mcvl::report::claims::Summary;
 use mcvl::runs::{
-    self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, RunDir, RunSet, RunsError, State,
+    self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, Remote, RunDir, RunSet, RunsError, State,
 };
 
 use super::progress::{Progress, Style};
@@ -46,6 +47,23 @@ pub struct Pace {
     /// How progress is shown on stderr
     #[arg(long, value_enum, default_value_t = Style::Auto, value_name = "HOW")]
     progress: Style,
+    /// What trains the futures of checks
+    #[arg(long, value_enum, default_value_t = BackEnd::Cpu, value_name = "WHAT")]
+    backend: BackEnd,
+    /// Graphics card whose name contains this (see `mcvl doctor`)
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+}
+
+/// What trains the futures of checks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BackEnd {
+    /// The processor: the same bits everywhere
+    Cpu,
+    /// A graphics card, or an error
+    Gpu,
+    /// A graphics card where there is one, and the processor otherwise and if it fails
+    Auto,
 }
 
 impl Pace {
@@ -55,10 +73,44 @@ impl Pace {
     }
 
     /// The manner of a session that begins now and is continued by the command `resume`.
-    pub fn manner(&self, resume: String) -> Manner {
+    pub fn manner(&self, resume: String, remote: Option<Remote>) -> Manner {
         let deadline = self.max_time.and_then(|time| Instant::now().checked_add(time));
         let (threads, checkpoint_every, progress) = (self.threads(), self.checkpoint_every, self.progress);
-        Manner { threads, checkpoint_every, deadline, progress, resume }
+        Manner { threads, checkpoint_every, deadline, progress, resume: resume + &self.backend(), remote }
+    }
+
+    /// The flags that name what forecasts, for the command that continues.
+    fn backend(&self) -> String {
+        let name = self.backend.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        let adapter = self.adapter.as_ref().map_or_else(String::new, |adapter| format!(" --adapter '{adapter}'"));
+        if self.backend == BackEnd::Cpu { String::new() } else { format!(" --backend {name}{adapter}") }
+    }
+
+    /// Opens what forecasts besides the processor.
+    ///
+    /// # Errors
+    /// If a graphics card is asked for and there is none.
+    pub fn remote(&self, terminal: &Terminal) -> anyhow::Result<Option<Remote>> {
+        if self.adapter.is_some() && self.backend == BackEnd::Cpu {
+            usage!("--adapter names a graphics card: add --backend gpu or --backend auto");
+        }
+        let open = || Gpu::open(self.adapter.as_deref());
+        Ok(match self.backend {
+            BackEnd::Cpu => None,
+            BackEnd::Gpu => Some(Remote::new(open()?, false)),
+            BackEnd::Auto => match open() {
+                // Software in place of a card is the processor by a longer way.
+                Ok(gpu) if !gpu.adapter().software || self.adapter.is_some() => Some(Remote::new(gpu, true)),
+                Ok(gpu) => {
+                    terminal.note(format_args!("note: forecasts on the processor: {} is software", gpu.adapter()));
+                    None
+                }
+                Err(error) => {
+                    terminal.note(format_args!("note: forecasts on the processor: {error}"));
+                    None
+                }
+            },
+        })
     }
 }
 
@@ -74,6 +126,8 @@ pub struct Manner {
     pub progress: Style,
     /// The command that continues the work.
     pub resume: String,
+    /// Where forecasts go besides the processor.
+    pub remote: Option<Remote>,
 }
 
 impl Manner {
@@ -153,7 +207,7 @@ impl Session {
         fits(&plan)?;
         let jobs = jobs(&run, &plan).map(Job::resume).collect::<Result<Vec<_>, _>>()?;
         if manifest.state != State::Finished {
-            manifest.write(&run, State::Running, &finished(&jobs))?;
+            manifest.write(&run, State::Running, &finished_seeds(&jobs))?;
         }
         Ok(Self { run, plan, manifest, jobs, _lock: lock })
     }
@@ -168,15 +222,43 @@ impl Session {
         &self.plan
     }
 
+    /// Where forecasts of this run go besides the processor; the manifest says so.
+    fn remote<'m>(
+        &mut self,
+        manner: &'m Manner,
+        finished: bool,
+        terminal: &Terminal,
+    ) -> anyhow::Result<Option<&'m Remote>> {
+        let Some(remote) = manner.remote.as_ref().filter(|_| !finished) else { return Ok(None) };
+        let supported = remote.gpu().supports(&self.plan.config);
+        let place = match &supported {
+            Ok(()) => remote.gpu().adapter().to_string(),
+            Err(why) => {
+                terminal.note(format_args!("note: forecasts on the processor: {why}"));
+                format!("processor: {why}")
+            }
+        };
+        self.manifest.forecasts_on(place);
+        self.manifest.write(&self.run, State::Running, &finished_seeds(&self.jobs))?;
+        Ok(supported.ok().map(|()| remote))
+    }
+
     /// Trains to the end or until stopped, and leaves the directory in order.
     pub fn work(mut self, manner: &Manner, terminal: &Terminal) -> anyhow::Result<Ended> {
         // A run that was killed after its last leg still lacks its results.
         let before = self.manifest.state == State::Finished;
         let begun = Instant::now();
+        let remote = self.remote(manner, before, terminal)?;
         let mut progress = Progress::new(&self.plan, manner.progress, terminal);
         let jobs = std::mem::take(&mut self.jobs);
-        let outcomes = runs::train(jobs, manner.threads, &manner.control(), |views| progress.tick(views));
+        let outcomes = runs::train(jobs, manner.threads, remote, &manner.control(), |views| progress.tick(views));
         progress.finish();
+        let fallen = remote.map(Remote::fallen).unwrap_or_default();
+        if let Some(why) = fallen.first() {
+            let seeds = fallen.len();
+            terminal.note(format_args!("note: {seeds} of the seeds went on forecasting on the processor: {why}"));
+            self.manifest.forecasts_on(format!("processor in {seeds} seeds: {why}"));
+        }
         if !before {
             self.manifest.add_time(begun.elapsed());
         }
@@ -226,7 +308,7 @@ fn jobs<'a>(run: &'a RunDir, plan: &'a Plan) -> impl Iterator<Item = Job> + 'a {
     })
 }
 
-fn finished(jobs: &[runs::ReadyJob]) -> Vec<u64> {
+fn finished_seeds(jobs: &[runs::ReadyJob]) -> Vec<u64> {
     jobs.iter().filter(|job| job.is_finished()).map(runs::ReadyJob::seed).collect()
 }
 

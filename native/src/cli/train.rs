@@ -83,7 +83,9 @@ Examples:
   mcvl train box-moving                       seed 0, baseline and mc
   mcvl train box-moving --seeds 0..10 -j 4    ten seeds, four at a time
   mcvl train box-moving --set threshold=0.1 -o runs/threshold
-  mcvl train box-moving --resume              continue what was stopped";
+  mcvl train box-moving --resume              continue what was stopped
+  mcvl train tomato-watering --seeds 0..100 --backend gpu
+                                              a hundred seeds' forecasts together on a graphics card";
 
 fn after_long_help() -> String {
     let precedence = "Precedence: defaults < preset < --quick < --config < environment < flags.";
@@ -99,13 +101,14 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
         return dry_run(arguments, &plan, terminal);
     }
     stop_on_signals()?;
+    let remote = arguments.pace.remote(terminal)?;
     let session = if arguments.resume {
         Session::resume(run.clone(), |found| same_settings(&run, found, &plan, &resolved, arguments))?
     } else {
         Session::begin(arguments.place(run)?, plan, arguments.overwrite)?
     };
     let (run, plan) = (session.run().clone(), session.plan().clone());
-    let manner = arguments.pace.manner(arguments.resume_command(&run));
+    let manner = arguments.pace.manner(arguments.resume_command(&run), remote);
     match session.work(&manner, terminal)? {
         Ended::Interrupted(open) => {
             let seeds = plan.seeds.len();

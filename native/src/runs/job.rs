@@ -5,12 +5,13 @@ use std::time::Instant;
 
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
-use mcvl_core::run::{Budget, Progress, Run, Status};
+use mcvl_core::run::{Budget, Progress, Run, RunError, Status};
 
 use super::checkpoint::Checkpoint;
-use super::pool::Control;
+use super::pool::{Control, Remote};
 use super::write::{SeedWriter, check_logs, write_weights};
 use super::{RunsError, SeedDir, read};
+use crate::gpu::Seat;
 use crate::worlds;
 
 /// Work per poll: short enough that a signal is answered in the blink of an eye, long enough that the
@@ -126,89 +127,141 @@ impl ReadyJob {
         if self.is_finished() { Ending::Finished } else { Ending::Interrupted }
     }
 
-    /// Works until the job is finished or `control` says stop.
+    /// Opens its files and makes or takes up its run, whose forecasts go to `remote` where there is one that has them.
     ///
     /// # Errors
-    /// If training diverges or a file cannot be written; what was saved before stays.
-    pub fn run(self, control: &Control, watcher: &mut dyn Watcher) -> Result<Ending, RunsError> {
+    /// If a file cannot be written.
+    pub fn open(self, remote: Option<Remote>) -> Result<OpenJob, RunsError> {
         let job = self.job;
-        let (mut run, mut finished, mut switch, writer) = match self.start {
-            Start::Finished => return Ok(Ending::Finished),
+        let (run, finished, switch, writer) = match self.start {
             Start::Beginning => {
                 let writer = SeedWriter::create(&job.dir, &job.config.with_agent(Learner::Mc))?;
-                (
-                    worlds::begin(&job.config.with_agent(job.learners[0]))
-                        .map_err(|e| RunsError::Request(e.to_string()))?,
-                    0,
-                    None,
-                    writer,
-                )
+                let run = worlds::begin(&job.config.with_agent(job.learners[0]));
+                (run.map_err(|e| RunsError::Request(e.to_string()))?, 0, None, writer)
             }
             Start::Middle { checkpoint, switch } => {
                 let writer = SeedWriter::reopen(&job.dir, &checkpoint.logs)?;
                 (checkpoint.run, checkpoint.finished, switch.map(|run| *run), writer)
             }
+            // Not asked for: there is nothing to do.
+            Start::Finished => return Err(RunsError::Request(format!("seed {} is finished", job.config.seed))),
         };
-        let mut recorder = Tee { writer, watcher };
-        while finished <= job.learners.len() {
-            if leg(&job, finished, &mut run, &mut recorder, control)? == Ending::Interrupted {
-                return Ok(Ending::Interrupted);
-            }
-            let logs = recorder.writer.sync()?;
-            write_weights(&job.dir.weights(job.arm(finished)), &run)?;
-            finished += 1;
-            if finished == 1 {
-                Checkpoint::write(&job.dir.switch(), finished, &logs, &run)?;
-                switch = Some(run.clone());
-            }
-            if let Some(&next) = job.learners.get(finished - 1) {
-                let fork = switch.as_ref().and_then(|switch| switch.fork(next));
-                run = fork.ok_or_else(|| RunsError::damaged(&job.dir.switch(), "does not stand at the switch"))?;
-            }
-            Checkpoint::write(&job.dir.state(), finished, &logs, &run)?;
-        }
-        Ok(Ending::Finished)
+        let mut open = OpenJob { job, run, finished, switch, writer, remote, seat: None, saved: Instant::now() };
+        open.take_seat();
+        Ok(open)
     }
 }
 
-/// Works on one leg until it is finished or `control` says stop; then its state is saved.
-fn leg(
-    job: &Job,
+/// A job under way.
+pub struct OpenJob {
+    job: Job,
+    run: Run,
+    /// Finished legs.
     finished: usize,
-    run: &mut Run,
-    recorder: &mut Tee<'_>,
-    control: &Control,
-) -> Result<Ending, RunsError> {
-    let mut saved = Instant::now();
-    loop {
-        let stop = control.stopped();
-        if stop || saved.elapsed() >= control.checkpoint_every {
-            let logs = recorder.writer.sync()?;
-            Checkpoint::write(&job.dir.state(), finished, &logs, run)?;
-            saved = Instant::now();
-        }
-        if stop {
-            return Ok(Ending::Interrupted);
-        }
-        let status = match run.poll(BUDGET, recorder) {
-            Ok(status) => status,
-            Err(source) => {
-                // What led there is worth reading, so it goes to the disk; the checkpoint stays before it.
-                recorder.writer.sync()?;
-                return Err(RunsError::Diverged { seed: job.config.seed, source });
+    /// Learners that have yet to begin fork from here.
+    switch: Option<Run>,
+    writer: SeedWriter,
+    remote: Option<Remote>,
+    seat: Option<Seat>,
+    saved: Instant,
+}
+
+/// How far a job came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pause {
+    /// Its forecasts are under way on a device: there is nothing to do for the processor.
+    Waiting,
+    /// It has ended.
+    Ended(Ending),
+}
+
+impl OpenJob {
+    fn take_seat(&mut self) {
+        self.seat = self.remote.as_ref().and_then(|remote| remote.gpu().equip(&mut self.run));
+    }
+
+    /// Works until the job is finished, has to wait, or `control` says stop.
+    ///
+    /// # Errors
+    /// If training diverges, a device fails or a file cannot be written; what was saved before stays.
+    pub fn work(&mut self, control: &Control, watcher: &mut dyn Watcher) -> Result<Pause, RunsError> {
+        while self.finished <= self.job.learners.len() {
+            match self.leg(control, watcher)? {
+                Pause::Ended(Ending::Finished) => self.finish_leg()?,
+                pause => return Ok(pause),
             }
-        };
-        recorder.writer.healthy()?;
-        recorder.watcher.progress(finished, run.progress());
-        if matches!((finished, status), (0, Status::Switch) | (1.., Status::Done)) {
-            return Ok(Ending::Finished);
         }
+        Ok(Pause::Ended(Ending::Finished))
+    }
+
+    /// Works on one leg until it is finished, has to wait, or `control` says stop; then its state is saved.
+    fn leg(&mut self, control: &Control, watcher: &mut dyn Watcher) -> Result<Pause, RunsError> {
+        loop {
+            let stop = control.stopped();
+            if stop || self.saved.elapsed() >= control.checkpoint_every {
+                let logs = self.writer.sync()?;
+                Checkpoint::write(&self.job.dir.state(), self.finished, &logs, &self.run)?;
+                self.saved = Instant::now();
+            }
+            if stop {
+                return Ok(Pause::Ended(Ending::Interrupted));
+            }
+            if self.seat.as_ref().is_some_and(Seat::waits) {
+                watcher.progress(self.finished, self.run.progress());
+                return Ok(Pause::Waiting);
+            }
+            let status = match self.run.poll(BUDGET, &mut Tee { writer: &mut self.writer, watcher }) {
+                Ok(status) => status,
+                Err(RunError::Forecast(why)) if self.remote.as_ref().is_some_and(|remote| remote.falls_back(&why)) => {
+                    self.run.forecast_here();
+                    (self.remote, self.seat) = (None, None);
+                    continue;
+                }
+                Err(source) => {
+                    // What led there is worth reading, so it goes to the disk; the checkpoint stays before it.
+                    let logs = self.writer.sync()?;
+                    let seed = self.job.config.seed;
+                    return Err(match source {
+                        RunError::Forecast(why) => {
+                            // Nothing was learned from the forecast that failed.
+                            Checkpoint::write(&self.job.dir.state(), self.finished, &logs, &self.run)?;
+                            RunsError::BackEnd { seed, why }
+                        }
+                        source => RunsError::Diverged { seed, source },
+                    });
+                }
+            };
+            self.writer.healthy()?;
+            watcher.progress(self.finished, self.run.progress());
+            if matches!((self.finished, status), (0, Status::Switch) | (1.., Status::Done)) {
+                return Ok(Pause::Ended(Ending::Finished));
+            }
+        }
+    }
+
+    /// Saves a finished leg and begins the next one.
+    fn finish_leg(&mut self) -> Result<(), RunsError> {
+        let Self { job, run, finished, switch, writer, .. } = self;
+        let logs = writer.sync()?;
+        write_weights(&job.dir.weights(job.arm(*finished)), run)?;
+        *finished += 1;
+        if *finished == 1 {
+            Checkpoint::write(&job.dir.switch(), *finished, &logs, run)?;
+            *switch = Some(run.clone());
+        }
+        if let Some(&next) = job.learners.get(*finished - 1) {
+            let fork = switch.as_ref().and_then(|switch| switch.fork(next));
+            *run = fork.ok_or_else(|| RunsError::damaged(&job.dir.switch(), "does not stand at the switch"))?;
+        }
+        Checkpoint::write(&job.dir.state(), *finished, &logs, run)?;
+        self.take_seat();
+        Ok(())
     }
 }
 
 /// Files first, then whoever watches.
 struct Tee<'a> {
-    writer: SeedWriter,
+    writer: &'a mut SeedWriter,
     watcher: &'a mut dyn Watcher,
 }
 

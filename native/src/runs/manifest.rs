@@ -67,6 +67,9 @@ pub struct Manifest {
     pub cpu: String,
     /// Cores that were there.
     pub cores: usize,
+    /// Where forecasts were made besides the processor, in every session so far: adapters, or why not there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub forecasts: Vec<String>,
     /// When training began (UTC).
     pub started: String,
     /// When it ended last (UTC).
@@ -96,12 +99,20 @@ impl Manifest {
             vector: mcvl_core::nn::isa::Isa::active().name().to_owned(),
             cpu: cpu(),
             cores: thread::available_parallelism().map_or(1, usize::from),
+            forecasts: Vec::new(),
             started: now(),
             ended: None,
             trained_ms: Some(0),
             state: State::Running,
             files: BTreeMap::new(),
             seal: String::new(),
+        }
+    }
+
+    /// Notes where forecasts are made, or why not there.
+    pub fn forecasts_on(&mut self, place: String) {
+        if !self.forecasts.contains(&place) {
+            self.forecasts.push(place);
         }
     }
 

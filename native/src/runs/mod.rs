@@ -40,7 +40,7 @@ pub use job::{Ending, Job, ReadyJob};
 pub use layout::{Place, Reference, RunDir, SeedDir};
 pub use manifest::{FileDigest, Manifest, State};
 pub use plan::{Origin, Plan, Setting, expected_forecasts};
-pub use pool::{Control, Outcome, SeedView, train};
+pub use pool::{Control, Outcome, Remote, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
 pub use tape::run_tape;
 pub use verify::{Finding, Verification, verify};
@@ -99,6 +99,13 @@ pub enum RunsError {
     },
     /// The request does not fit what is there: what, where, what to do.
     Request(String),
+    /// The device that forecasts failed; the state before the forecast is saved.
+    BackEnd {
+        /// The seed.
+        seed: u64,
+        /// What happened, and what to do.
+        why: String,
+    },
     /// Training diverged.
     Diverged {
         /// The seed.
@@ -127,6 +134,7 @@ impl fmt::Display for RunsError {
             Self::Io { doing, path, source } => write!(f, "cannot {doing} {}: {source}", path.display()),
             Self::Damaged { path, why } => write!(f, "{}: {why}", path.display()),
             Self::Request(what) => f.write_str(what),
+            Self::BackEnd { seed, why } => write!(f, "seed {seed}: {why}"),
             Self::Diverged { seed, source } => write!(f, "seed {seed}: {source}"),
         }
     }

@@ -1,8 +1,9 @@
 //! Several seeds at once. Seeds share nothing, so neither their number nor that of the threads can
 //! change a result.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -10,10 +11,13 @@ use mcvl_core::record::{CheckRecord, EvaluationRecord, Event};
 use mcvl_core::run::Progress;
 
 use super::RunsError;
-use super::job::{Ending, ReadyJob, Watcher};
+use super::job::{Ending, OpenJob, Pause, ReadyJob, Watcher};
+use crate::gpu::Gpu;
 
 /// How often the caller is told how things stand.
 const TICK: Duration = Duration::from_millis(100);
+/// How long a thread waits for a device before it looks for itself.
+const PATIENCE: Duration = Duration::from_millis(10);
 
 /// Says when to save and when to stop.
 #[derive(Debug)]
@@ -39,6 +43,39 @@ impl Control {
         self.stop.load(Ordering::Relaxed)
             || self.failed.load(Ordering::Relaxed)
             || self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+}
+
+/// A device to which forecasts go.
+#[derive(Clone, Debug)]
+pub struct Remote {
+    gpu: Gpu,
+    fall_back: bool,
+    fallen: Arc<Mutex<Vec<String>>>,
+}
+
+impl Remote {
+    /// Forecasts on `gpu`. If it fails, runs go on on the processor where `fall_back` says so, and stop otherwise.
+    pub fn new(gpu: Gpu, fall_back: bool) -> Self {
+        Self { gpu, fall_back, fallen: Arc::default() }
+    }
+
+    /// The device.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Why runs went on on the processor, once for each.
+    pub fn fallen(&self) -> Vec<String> {
+        lock(&self.fallen).clone()
+    }
+
+    /// Whether a run goes on on the processor after the device failed.
+    pub(super) fn falls_back(&self, why: &str) -> bool {
+        if self.fall_back {
+            lock(&self.fallen).push(why.to_owned());
+        }
+        self.fall_back
     }
 }
 
@@ -68,36 +105,80 @@ pub struct Outcome {
     pub result: Result<Ending, RunsError>,
 }
 
+/// A job that nobody works on at the moment.
+struct Entry {
+    index: usize,
+    job: Stage,
+}
+
+/// How far a job in the queue is.
+enum Stage {
+    Ready(ReadyJob),
+    Open(Box<OpenJob>),
+}
+
 /// Works on `jobs` with `threads` threads; `tick` is called with the state of all of them every tenth of
 /// a second and once at the end. Outcomes are in the order of the jobs.
+///
+/// With a `remote` all jobs are open at once: a thread whose job waits for the device goes on with another one, so the
+/// device has the forecasts of all of them together.
 pub fn train(
     jobs: Vec<ReadyJob>,
     threads: usize,
+    remote: Option<&Remote>,
     control: &Control,
     mut tick: impl FnMut(&[SeedView]),
 ) -> Vec<Outcome> {
     let views: Vec<Mutex<SeedView>> = jobs.iter().map(|job| Mutex::new(SeedView::new(job))).collect();
     let seeds: Vec<u64> = jobs.iter().map(ReadyJob::seed).collect();
     let threads = threads.clamp(1, jobs.len().max(1));
-    let queue: Vec<Mutex<Option<ReadyJob>>> = jobs.into_iter().map(|job| Mutex::new(Some(job))).collect();
-    let results: Vec<Mutex<Option<Result<Ending, RunsError>>>> = queue.iter().map(|_| Mutex::new(None)).collect();
-    let next = AtomicUsize::new(0);
+    let results: Vec<Mutex<Option<Result<Ending, RunsError>>>> = jobs.iter().map(|_| Mutex::new(None)).collect();
+    let unfinished = AtomicUsize::new(jobs.len());
+    let entries = jobs.into_iter().enumerate().map(|(index, job)| Entry { index, job: Stage::Ready(job) });
+    let queue: Mutex<VecDeque<Entry>> = Mutex::new(entries.collect());
     let (alive, all_gone) = mpsc::channel::<()>();
     let look = |views: &[Mutex<SeedView>]| -> Vec<SeedView> { views.iter().map(SeedView::take).collect() };
     thread::scope(|scope| {
         for _ in 0..threads {
-            let (queue, results, views, next, alive) = (&queue, &results, &views, &next, alive.clone());
+            let (queue, results, views, alive) = (&queue, &results, &views, alive.clone());
+            let unfinished = &unfinished;
             scope.spawn(move || {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(job) = queue.get(index).and_then(|slot| lock(slot).take()) else { break };
-                    let result =
-                        if control.stopped() { Ok(job.untouched()) } else { job.run(control, &mut &views[index]) };
-                    if matches!(result, Err(RunsError::Io { .. } | RunsError::Damaged { .. })) {
+                // Jobs in a row that had to wait.
+                let mut waiting = 0;
+                while unfinished.load(Ordering::Relaxed) > 0 {
+                    let entry = lock(queue).pop_front();
+                    let others = lock(queue).len();
+                    let Some(Entry { index, job }) = entry else {
+                        // Whoever works on the rest may bring one back, but only where there is a device to wait for.
+                        let Some(remote) = remote else { break };
+                        remote.gpu.wait(PATIENCE);
+                        continue;
+                    };
+                    let result = match step(job, remote, control, &mut &views[index]) {
+                        Ok(Err(open)) => {
+                            lock(queue).push_back(Entry { index, job: Stage::Open(open) });
+                            waiting += 1;
+                            if waiting > others
+                                && let Some(remote) = remote
+                            {
+                                remote.gpu.wait(PATIENCE);
+                                waiting = 0;
+                            }
+                            continue;
+                        }
+                        Ok(Ok(ending)) => Ok(ending),
+                        Err(error) => Err(error),
+                    };
+                    waiting = 0;
+                    if matches!(
+                        result,
+                        Err(RunsError::Io { .. } | RunsError::Damaged { .. } | RunsError::BackEnd { .. })
+                    ) {
                         control.failed.store(true, Ordering::Relaxed);
                     }
                     lock(&views[index]).over = true;
                     *lock(&results[index]) = Some(result);
+                    unfinished.fetch_sub(1, Ordering::Relaxed);
                 }
                 drop(alive);
             });
@@ -110,6 +191,24 @@ pub fn train(
     tick(&look(&views));
     let result = |slot: Mutex<Option<_>>| lock(&slot).take().expect("every job was taken from the queue");
     seeds.into_iter().zip(results).map(|(seed, slot)| Outcome { seed, result: result(slot) }).collect()
+}
+
+/// Works on a job until it ends (its ending) or has to wait (the job).
+fn step(
+    job: Stage,
+    remote: Option<&Remote>,
+    control: &Control,
+    watcher: &mut dyn Watcher,
+) -> Result<Result<Ending, Box<OpenJob>>, RunsError> {
+    let mut open = match job {
+        Stage::Ready(job) if job.is_finished() || control.stopped() => return Ok(Ok(job.untouched())),
+        Stage::Ready(job) => Box::new(job.open(remote.cloned())?),
+        Stage::Open(open) => open,
+    };
+    Ok(match open.work(control, watcher)? {
+        Pause::Waiting => Err(open),
+        Pause::Ended(ending) => Ok(ending),
+    })
 }
 
 /// A panic in a worker ends the program through its scope, so no lock is ever poisoned and read.
