@@ -2,6 +2,7 @@
 //! something cannot be had, says what to type.
 
 use std::fs;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
@@ -35,6 +36,8 @@ enum Source {
     Crate(&'static str),
     /// MuJoCo's shared library, from its Python package.
     Mujoco,
+    /// A driver of Vulkan: where there is no card, one that computes on the processor.
+    Vulkan,
 }
 
 /// Something that has to be on the machine.
@@ -77,6 +80,7 @@ const PARTS: &[Part] = &[
         programs: &[],
     },
     Part { why: "Reacher in MuJoCo", purpose: Purpose::Test, source: Source::Mujoco, programs: &[] },
+    Part { why: "tests of graphics cards", purpose: Purpose::Test, source: Source::Vulkan, programs: &[] },
     Part {
         why: "a faster test runner; without it `cargo test` runs the same tests",
         purpose: Purpose::Comfort,
@@ -93,6 +97,7 @@ impl Part {
             Source::Apt(_) | Source::Crate(_) => process::exists(self.programs),
             // Elsewhere there is only the closed form.
             Source::Mujoco => mujoco::present() || !mujoco::supported(),
+            Source::Vulkan => vulkan() || !cfg!(target_os = "linux"),
         }
     }
 
@@ -103,6 +108,7 @@ impl Part {
             Source::Npm(_, name) => format!("the package {name} (npm)"),
             Source::Crate(name) => format!("the program {name} (cargo install, compiles for some minutes)"),
             Source::Mujoco => "MuJoCo's shared library (pip, 26 MB)".to_owned(),
+            Source::Vulkan => format!("the packages {} (apt-get)", DRIVERS.join(" and ")),
         };
         format!("{what}: {}", self.why)
     }
@@ -124,7 +130,11 @@ pub fn ensure(purpose: Purpose) -> Result<()> {
     // What others need comes first.
     let packages: Vec<&str> = missing
         .iter()
-        .filter_map(|part| if let Source::Apt(package) = part.source { Some(package) } else { None })
+        .flat_map(|part| match part.source {
+            Source::Apt(package) => vec![package],
+            Source::Vulkan => DRIVERS.to_vec(),
+            _ => Vec::new(),
+        })
         .collect();
     if !packages.is_empty() {
         add_packages(&packages)?;
@@ -132,13 +142,30 @@ pub fn ensure(purpose: Purpose) -> Result<()> {
     for part in missing {
         match part.source {
             Source::Target(target) => add_target(target)?,
-            Source::Apt(_) => {}
+            Source::Apt(_) | Source::Vulkan => {}
             Source::Npm(folder, _) => add_locked(folder)?,
             Source::Crate(name) => add_crate(name)?,
             Source::Mujoco => add_mujoco()?,
         }
     }
     Ok(())
+}
+
+/// Vulkan's loader and Mesa's drivers, the one for processors among them.
+const DRIVERS: &[&str] = &["libvulkan1", "mesa-vulkan-drivers"];
+
+/// Whether there are a loader and a driver of Vulkan.
+pub fn vulkan() -> bool {
+    let has = |folder: &Path, wanted: &dyn Fn(&str) -> bool| {
+        let names = fs::read_dir(folder).into_iter().flatten().flatten();
+        names.into_iter().any(|entry| wanted(&entry.file_name().to_string_lossy()))
+    };
+    let drivers = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"].map(Path::new);
+    let libraries = fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
+    drivers.iter().any(|folder| has(folder, &|name| name.ends_with(".json")))
+        && libraries
+            .chain(["/usr/lib", "/usr/lib64", "/lib64"].map(PathBuf::from))
+            .any(|folder| has(&folder, &|name| name.starts_with("libvulkan.so.1")))
 }
 
 /// Whether the compiler in use has a standard (or core) library for a target.

@@ -59,7 +59,7 @@ fn summary(done: &[(&str, Duration)]) {
     println!("{:<30} {:>8.1}", "total", total.as_secs_f64());
 }
 
-/// Everything with MuJoCo, and then what stands in for it where it is not linked.
+/// Everything with MuJoCo, then what stands in for it where it is not linked, then without graphics cards too.
 fn lint() -> Result<()> {
     let lint = |features: &[&str]| {
         let workspace = ["clippy", "--workspace", "--all-targets"];
@@ -67,8 +67,12 @@ fn lint() -> Result<()> {
     };
     let features = mujoco::features();
     lint(features)?;
-    // Only `native` differs, so the second look is short.
-    if features.is_empty() { Ok(()) } else { lint(&[]) }
+    // Only `native` differs, so the other looks are short.
+    if !features.is_empty() {
+        lint(&[])?;
+    }
+    let plain = ["clippy", "--package", "mcvl-native", "--no-default-features", "--all-targets"];
+    run(cargo().args(plain).args(["--", "-D", "warnings"]))
 }
 
 /// Unit and integration tests, with cargo-nextest where it is installed.
@@ -80,8 +84,12 @@ fn tests() -> Result<()> {
     run(with_program(cargo().arg("test").args(everything()).args(["--lib", "--bins", "--tests"])))
 }
 
-/// Tells the tests which `mcvl` to run: the one that the stage before built.
+/// Tells the tests which `mcvl` to run: the one that the stage before built. Where there is a driver, tests of
+/// graphics cards may not be skipped.
 fn with_program(command: &mut Command) -> &mut Command {
+    if setup::vulkan() {
+        command.env("MCVL_REQUIRE_GPU", "1");
+    }
     command.env("MCVL_BIN", program("debug", "mcvl"))
 }
 

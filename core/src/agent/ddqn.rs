@@ -111,6 +111,11 @@ impl Ddqn {
         &self.optimizer
     }
 
+    /// The optimiser, writable: for back ends that make its steps elsewhere.
+    pub fn optimizer_mut(&mut self) -> &mut Adam {
+        &mut self.optimizer
+    }
+
     /// The live network, Q(·; θ).
     pub fn online(&self) -> &Mlp {
         &self.online

@@ -135,6 +135,21 @@ impl Adam {
         (&self.m, &self.v, &self.max_v)
     }
 
+    /// Takes over what `steps` further steps, made elsewhere, left of the moments (as [`Adam::moments`] gives them).
+    ///
+    /// # Panics
+    /// If there are more or fewer moments than before.
+    pub fn take_over(&mut self, steps: u32, moments: [&[f32]; 3]) {
+        for (own, new) in [&mut self.m, &mut self.v, &mut self.max_v].into_iter().zip(moments) {
+            own.copy_from_slice(new);
+        }
+        self.steps += u64::from(steps);
+        for _ in 0..steps {
+            self.power1 *= BETA1;
+            self.power2 *= BETA2;
+        }
+    }
+
     /// Whether first-layer row `index` may change: it had a gradient once, or rows are not told apart.
     pub fn is_live(&self, index: usize) -> bool {
         self.live.get(index).is_none_or(|live| *live)

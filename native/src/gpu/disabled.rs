@@ -1,4 +1,5 @@
 //! What stands in for graphics cards where this program was built without them: the same face, and no value.
+#![cfg_attr(feature = "gpu", allow(dead_code, reason = "with the feature on it is here for its test only"))]
 
 use std::time::Duration;
 

@@ -3,6 +3,7 @@
 mod cli;
 mod cli_docs;
 mod cli_errors;
+mod cli_gpu;
 mod cli_resume;
 mod export;
 mod golden;

@@ -195,8 +195,23 @@ fn a_plain_build_needs_no_mujoco() {
             ));
         }
     }
-    // One package, where it is optional; nothing is on by default, and so not it.
-    assert_eq!(found, [("mcvl-native".into(), true.into(), Value::Null)]);
+    // One package, where it is optional; of its features only graphics cards are on by default.
+    assert_eq!(found, [("mcvl-native".into(), true.into(), serde_json::json!(["gpu"]))]);
+}
+
+#[test]
+fn every_kernel_has_its_twin() {
+    let files = files();
+    let kernels: Vec<_> = files.iter().filter(|file| file.is(&["wgsl"])).collect();
+    assert!(!kernels.is_empty(), "the rule reads kernels");
+    for kernel in kernels {
+        assert!(kernel.path.starts_with("native/src/gpu/"), "{}", kernel.path);
+        let name = kernel.path.rsplit('/').next().unwrap().replace(".wgsl", ".rs");
+        let twin =
+            files.iter().find(|file| file.path.starts_with("core/src/") && file.path.ends_with(&format!("/{name}")));
+        let twin = twin.unwrap_or_else(|| panic!("core has no {name} for {}", kernel.path));
+        assert!(kernel.text.contains(&twin.path), "{} names its twin {}", kernel.path, twin.path);
+    }
 }
 
 #[test]

@@ -125,6 +125,8 @@ pub struct Packed {
     /// Parameters, target, moments: each `parameters` numbers.
     memory: Vec<f32>,
     parameters: u32,
+    /// Inputs that are one in a state of some mini-batch.
+    touched: Vec<u32>,
     /// Columns of the forced transitions.
     extra: Vec<u32>,
     corrections: Vec<u32>,
@@ -191,6 +193,21 @@ pub fn pack<E>(jobs: &[ForecastJob<'_, E, Ddqn>]) -> Vec<Packed> {
     jobs.iter().zip(extras).map(|(job, extra)| Packed::new(job, common.clone(), extra)).collect()
 }
 
+impl Common {
+    /// Inputs that are one in the states of the first `drawn` samples or of the forced ones, which `forced` numbers.
+    fn touched(&self, drawn: u32, forced: &[u32]) -> Vec<u32> {
+        let mut states = vec![false; self.rows.len()];
+        let drawn = self.draws[..drawn as usize].iter().map(|&slot| self.columns[slot as usize]);
+        drawn.chain(forced.iter().copied()).for_each(|id| states[id as usize] = true);
+        let mut touched = vec![false; self.inputs.len()];
+        for (id, _) in states.iter().enumerate().filter(|(_, seen)| **seen) {
+            let ones = &self.ones[self.rows[id] as usize..self.rows[id + 1] as usize];
+            ones.iter().for_each(|&place| touched[place as usize] = true);
+        }
+        self.inputs.iter().zip(touched).filter(|(_, touched)| *touched).map(|(&input, _)| input).collect()
+    }
+}
+
 impl Packed {
     fn new<E>(job: &ForecastJob<'_, E, Ddqn>, common: Arc<Common>, extra: Vec<u32>) -> Self {
         let agent = job.agent.for_forecast(job.carry);
@@ -212,6 +229,7 @@ impl Packed {
         }
         let parameters = (network.params().len() - (sizes[0] - common.inputs.len()) * hidden) as u32;
         let (settings, updates) = (optimizer.config(), job.value_updates());
+        let touched = common.touched(updates * job.batch, if updates > 0 { &extra[..job.forced.len()] } else { &[] });
         let mut corrections = optimizer.corrections();
         let corrections = (0..updates).flat_map(|_| corrections.advance()).map(f32::to_bits).collect();
         let job = Job {
@@ -240,7 +258,7 @@ impl Packed {
             amsgrad: u32::from(settings.amsgrad()),
             ..Job::default()
         };
-        Self { common, job, memory, parameters, extra, corrections }
+        Self { common, job, memory, parameters, touched, extra, corrections }
     }
 
     /// Updates to make.
@@ -285,18 +303,31 @@ impl Packed {
         [4 * (self.memory.len() as u64 + u64::from(self.work())), 4 * data as u64]
     }
 
-    /// The learner with the parameters that came back. Only the live network is brought back: a future is rated
-    /// by its policy.
+    /// The learner with what came back: parameters, target and moments, in the order of [`Packed::memory`]. `agent`
+    /// is the copy from which the forecast started.
     pub fn finished(&self, mut agent: Ddqn, values: &[f32]) -> Ddqn {
         let hidden = self.job.hidden as usize;
-        let (first, rest) = values.split_at(self.common.inputs.len() * hidden);
-        let params = agent.online_mut().params_mut();
-        for (&input, row) in self.common.inputs.iter().zip(first.chunks_exact(hidden)) {
-            let at = input as usize * hidden;
-            params[at..at + hidden].copy_from_slice(row);
-        }
-        let tail = params.len() - rest.len();
-        params[tail..].copy_from_slice(rest);
+        let mut parts = values.chunks_exact(self.parameters as usize);
+        // Rows of inputs that are never one stay what they were.
+        let mut spread = |whole: &mut [f32]| {
+            let part = parts.next().expect("every part came back");
+            let (first, rest) = part.split_at(self.common.inputs.len() * hidden);
+            for (&input, row) in self.common.inputs.iter().zip(first.chunks_exact(hidden)) {
+                let at = input as usize * hidden;
+                whole[at..at + hidden].copy_from_slice(row);
+            }
+            let tail = whole.len() - rest.len();
+            whole[tail..].copy_from_slice(rest);
+        };
+        spread(agent.online_mut().params_mut());
+        spread(agent.target_mut().params_mut());
+        let (first, second, largest) = agent.optimizer().moments();
+        let mut moments = [first, second, largest].map(<[f32]>::to_vec);
+        moments.iter_mut().filter(|moments| !moments.is_empty()).for_each(|moments| spread(moments));
+        let [first, second, largest] = &moments;
+        let optimizer = agent.optimizer_mut();
+        optimizer.take_over(self.job.updates, [first, second, largest]);
+        self.touched.iter().for_each(|&input| optimizer.touch(input));
         agent
     }
 }
@@ -320,7 +351,7 @@ pub struct Batch {
     memory: Buffer,
     failures: Buffer,
     span: Buffer,
-    /// Per job: where its parameters lie and how many there are.
+    /// Per job: where its parameters, target and moments lie, and how many numbers they are.
     places: Vec<(u32, u32)>,
     updates: u32,
     /// Turns of loops in one update of the longest job.
@@ -355,7 +386,7 @@ impl Batch {
                 corrections,
                 ..base
             });
-            places.push((memory, job.parameters));
+            places.push((memory, job.memory.len() as u32));
             memory += job.memory.len() as u32 + job.work();
         }
         let buffer = device.buffer("ddqn memory", 4 * u64::from(memory), &[]);

@@ -20,8 +20,8 @@ pub trait OnDevice: Agent {
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<Self::Packed>;
     /// The order of a job.
     fn order(packed: Arc<Self::Packed>) -> Work;
-    /// The learner of a job with the parameters that came back.
-    fn finished(&self, packed: &Self::Packed, values: &[f32]) -> Self;
+    /// The copy from which a job started, with what came back.
+    fn finished(self, packed: &Self::Packed, values: &[f32]) -> Self;
 }
 
 impl OnDevice for Ddqn {
@@ -35,8 +35,8 @@ impl OnDevice for Ddqn {
         Work::Ddqn(packed)
     }
 
-    fn finished(&self, packed: &ddqn::Packed, values: &[f32]) -> Self {
-        packed.finished(self.clone(), values)
+    fn finished(self, packed: &ddqn::Packed, values: &[f32]) -> Self {
+        packed.finished(self, values)
     }
 }
 
@@ -101,7 +101,7 @@ impl<E, A: OnDevice> Forecaster<E, A> for GpuForecaster<A> {
         let mut failure = None;
         for ((packed, ticket), job) in self.orders.iter().zip(jobs) {
             match ticket.take() {
-                Some(Ok(values)) => futures.push(job.agent.finished(packed, &values)),
+                Some(Ok(values)) => futures.push(job.agent.for_forecast(job.carry).finished(packed, &values)),
                 Some(Err(error)) => failure = failure.or(Some(error)),
                 None => unreachable!("every ticket is ready"),
             }

@@ -154,10 +154,13 @@ fn ulps(a: f32, b: f32) -> u32 {
     (order(a) - order(b)).unsigned_abs() as u32
 }
 
-/// Parameters that differ, and the largest distance.
+/// Numbers of two learners that differ, and the largest distance: parameters, target network and moments.
 fn distance(a: &Ddqn, b: &Ddqn) -> (usize, u32) {
-    let pairs = a.online().params().iter().zip(b.online().params());
-    let distances: Vec<u32> = pairs.map(|(a, b)| ulps(*a, *b)).collect();
+    let numbers = |agent: &Ddqn| {
+        let (first, second, largest) = agent.optimizer().moments();
+        [agent.online().params(), agent.target().params(), first, second, largest].concat()
+    };
+    let distances: Vec<u32> = numbers(a).into_iter().zip(numbers(b)).map(|(a, b)| ulps(a, b)).collect();
     (distances.iter().filter(|d| **d > 0).count(), distances.into_iter().max().unwrap_or(0))
 }
 
@@ -179,10 +182,144 @@ fn futures_of_a_device_are_the_processors() {
             let other = finish(&mut forecaster(&gpu), &jobs).unwrap();
             for (a, b) in own.iter().zip(&other) {
                 let (count, most) = distance(a, b);
-                println!("{settings}, {updates} updates: {count} parameters differ, by at most {most} ulp");
-                assert!(count == 0, "{settings}, {updates} updates: {count} parameters differ, by up to {most} ulp");
+                println!("{settings}, {updates} updates: {count} numbers differ, by at most {most} ulp");
+                assert_eq!(a.optimizer().steps(), b.optimizer().steps());
+                assert!(count == 0, "{settings}, {updates} updates: {count} numbers differ, by up to {most} ulp");
             }
             assert_ne!(own[0].digest(), own[1].digest());
         }
     }
+}
+
+/// One body for every back end: what a forecaster has to do whatever its arithmetic.
+fn keeps_the_contract(mut make: impl FnMut() -> Box<dyn Forecaster<Trapped, Ddqn>>) {
+    let (small, other) = (Small::new("hidden=8", 1), Small::new("hidden=8", 2));
+    let jobs = small.jobs(12, 16, 1);
+    let both = finish(&mut *make(), &jobs).unwrap();
+    assert_ne!(both[0].digest(), both[1].digest());
+    // Results do not depend on company, on order, or on what was asked for before.
+    let mut shared = make();
+    assert_eq!(finish(&mut *shared, &jobs[1..]).unwrap()[0].digest(), both[1].digest());
+    let [with, without] = small.jobs(12, 16, 1);
+    let turned = finish(&mut *shared, &[without, with]).unwrap();
+    assert_eq!((turned[0].digest(), turned[1].digest()), (both[1].digest(), both[0].digest()));
+    assert!(shared.poll(&other.jobs(12, 16, 4), &mut Budget(1)).is_pending());
+    assert_eq!(finish(&mut *shared, &jobs[..1]).unwrap()[0].digest(), both[0].digest());
+    shared.cancel();
+    assert_eq!(shared.progress(), 0.0);
+    // Other draws, another future.
+    assert_ne!(finish(&mut *shared, &small.jobs(12, 16, 2)).unwrap()[1].digest(), both[1].digest());
+    // Without a full mini-batch nothing is trained, and nothing to train is no error.
+    let idle = finish(&mut *shared, &small.jobs(12, 300, 1)[1..]).unwrap();
+    assert_eq!(idle[0].digest(), small.agent.digest());
+    assert_eq!(finish(&mut *shared, &small.jobs(0, 16, 1)[1..]).unwrap()[0].digest(), small.agent.digest());
+    assert!(finish(&mut *shared, &[]).unwrap().is_empty());
+    // A loss that is no number is an error with its update, and the back end goes on.
+    let mut broken = Small::new("hidden=8", 1);
+    broken.surprise.reward = f32::INFINITY;
+    assert_eq!(finish(&mut *shared, &broken.jobs(12, 16, 1)).err(), Some(ForecastError::NotFinite { update: 1 }));
+    assert_eq!(finish(&mut *shared, &jobs).unwrap()[0].digest(), both[0].digest());
+}
+
+#[test]
+fn every_back_end_keeps_the_contract() {
+    keeps_the_contract(|| Box::new(CpuForecaster::default()));
+    let Some(gpu) = device() else { return };
+    keeps_the_contract(|| Box::new(forecaster(&gpu)));
+}
+
+#[test]
+fn many_runs_are_trained_side_by_side() {
+    let Some(gpu) = device() else { return };
+    let runs: Vec<Small> = (0..7).map(|seed| Small::new(["hidden=8", "hidden=12"][seed as usize % 2], seed)).collect();
+    let mut forecasters: Vec<_> = runs.iter().map(|_| forecaster(&gpu)).collect();
+    let mut futures = vec![None; runs.len()];
+    while futures.iter().any(Option::is_none) {
+        for ((future, forecaster), (seed, small)) in futures.iter_mut().zip(&mut forecasters).zip((0..).zip(&runs)) {
+            if future.is_none()
+                && let Poll::Ready(result) = forecaster.poll(&small.jobs(9, 16, seed), &mut Budget(1))
+            {
+                *future = Some(result.unwrap());
+            }
+        }
+        gpu.wait(Duration::from_millis(1));
+    }
+    for (seed, (small, found)) in (0..).zip(runs.iter().zip(futures)) {
+        let own = finish(&mut CpuForecaster::default(), &small.jobs(9, 16, seed)).unwrap();
+        let digests = |futures: &[Ddqn]| futures.iter().map(Agent::digest).collect::<Vec<_>>();
+        assert_eq!(digests(&found.unwrap()), digests(&own), "run {seed}");
+    }
+}
+
+#[test]
+fn thousands_of_updates_drift_nowhere() {
+    let Some(gpu) = device() else { return };
+    let small = Small::new("hidden=4", 6);
+    let jobs = small.jobs(5_000, 16, 1);
+    let own = finish(&mut CpuForecaster::default(), &jobs).unwrap();
+    let other = finish(&mut forecaster(&gpu), &jobs).unwrap();
+    let far = own.iter().zip(&other).map(|(a, b)| distance(a, b)).collect::<Vec<_>>();
+    println!("{}: after 5,000 updates (numbers that differ, ulp): {far:?}", gpu.adapter());
+    if gpu.adapter().software {
+        assert_eq!(far, [(0, 0), (0, 0)]);
+    }
+    // On a card, where units in the last place add up: values of the same policy.
+    let most = own[0].online().params().iter().zip(other[0].online().params()).map(|(a, b)| (a - b).abs());
+    assert!(most.fold(0.0, f32::max) < 0.05);
+}
+
+#[test]
+fn a_lost_device_is_an_error_for_whoever_waits_and_comes() {
+    let Ok(device) = Device::open(None) else { return };
+    device.destroy();
+    let gpu = Gpu { desk: Desk::open(device) };
+    let small = Small::new("hidden=8", 1);
+    let mut forecaster = forecaster(&gpu);
+    for _ in 0..2 {
+        let Some(ForecastError::BackEnd(why)) = finish(&mut forecaster, &small.jobs(5, 16, 1)).err() else {
+            panic!("the device is lost")
+        };
+        assert!(why.contains("--resume"), "{why}");
+    }
+}
+
+#[test]
+fn a_forecast_that_is_too_large_is_declined_with_the_reason() {
+    let Some(gpu) = device() else { return };
+    if !gpu.adapter().software {
+        return;
+    }
+    let small = Small::new("hidden=700", 1);
+    let error = finish(&mut forecaster(&gpu), &small.jobs(1, 16, 1)).err().unwrap();
+    assert!(error.to_string().contains("too large for the device"), "{error}");
+    // Others are served.
+    assert!(finish(&mut forecaster(&gpu), &Small::new("hidden=8", 1).jobs(1, 16, 1)).is_ok());
+}
+
+#[test]
+fn what_no_kernel_has_stays_on_the_processor() {
+    let Some(gpu) = device() else { return };
+    let config = |text: &str| -> Config { text.parse().unwrap() };
+    assert_eq!(gpu.supports(&config("env=box-moving")), Ok(()));
+    for (text, word) in [
+        ("env=box-moving layers=3", "layers"),
+        ("env=box-moving batch=64", "batch"),
+        ("env=rocks-and-diamonds practice=true", "practise"),
+    ] {
+        let config = config(text);
+        let why = gpu.supports(&config).unwrap_err();
+        assert!(why.contains(word), "{text}: {why}");
+        assert!(gpu.equip(&mut Run::new(&config)).is_none());
+    }
+    assert!(gpu.equip(&mut Run::new(&config("env=tomato-watering"))).is_some());
+}
+
+#[test]
+fn unknown_adapters_are_named_with_those_there_are() {
+    let Some(gpu) = device() else { return };
+    let error = Gpu::open(Some("no such card")).unwrap_err().to_string();
+    assert!(error.contains("no such card") && error.contains(&gpu.adapter().name), "{error}");
+    let name = gpu.adapter().name.to_uppercase();
+    assert_eq!(Gpu::open(Some(&name)).unwrap().adapter(), gpu.adapter());
+    assert!(adapters().unwrap().contains(gpu.adapter()));
 }

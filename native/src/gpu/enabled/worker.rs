@@ -31,7 +31,7 @@ pub trait Training: Debug {
     fn longest_slice(&self, limit: Option<u32>) -> u32;
     /// Commands for the updates `first..first + count` of every job.
     fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32);
-    /// Parameters that a job brings back, or 1 + the update whose loss was no finite number; in the order of the jobs.
+    /// What a job brings back, or 1 + the update whose loss was no finite number; in the order of the jobs.
     ///
     /// # Errors
     /// If the device fails.
