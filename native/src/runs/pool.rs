@@ -113,7 +113,7 @@ struct Entry {
 
 /// How far a job in the queue is.
 enum Stage {
-    Ready(ReadyJob),
+    Ready(Box<ReadyJob>),
     Open(Box<OpenJob>),
 }
 
@@ -134,7 +134,7 @@ pub fn train(
     let threads = threads.clamp(1, jobs.len().max(1));
     let results: Vec<Mutex<Option<Result<Ending, RunsError>>>> = jobs.iter().map(|_| Mutex::new(None)).collect();
     let unfinished = AtomicUsize::new(jobs.len());
-    let entries = jobs.into_iter().enumerate().map(|(index, job)| Entry { index, job: Stage::Ready(job) });
+    let entries = jobs.into_iter().enumerate().map(|(index, job)| Entry { index, job: Stage::Ready(Box::new(job)) });
     let queue: Mutex<VecDeque<Entry>> = Mutex::new(entries.collect());
     let (alive, all_gone) = mpsc::channel::<()>();
     let look = |views: &[Mutex<SeedView>]| -> Vec<SeedView> { views.iter().map(SeedView::take).collect() };
@@ -202,7 +202,7 @@ fn step(
 ) -> Result<Result<Ending, Box<OpenJob>>, RunsError> {
     let mut open = match job {
         Stage::Ready(job) if job.is_finished() || control.stopped() => return Ok(Ok(job.untouched())),
-        Stage::Ready(job) => Box::new(job.open(remote.cloned())?),
+        Stage::Ready(job) => Box::new((*job).open(remote.cloned())?),
         Stage::Open(open) => open,
     };
     Ok(match open.work(control, watcher)? {
