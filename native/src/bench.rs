@@ -4,6 +4,8 @@
 //! A figure is the median over the calls made in a given time; on several cores, the sum of the medians of
 //! threads that start together. What each thread works on is its own.
 
+mod gpu;
+
 use std::hint::black_box;
 use std::sync::{Barrier, Mutex};
 use std::task::Poll;
@@ -27,6 +29,8 @@ use mcvl_core::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots}
 use mcvl_core::rng::Rng;
 use mcvl_core::run::{Budget, Run, Status};
 use serde::Serialize;
+
+pub use gpu::{JOBS, Throughput};
 
 use crate::mujoco;
 

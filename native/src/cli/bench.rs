@@ -1,5 +1,7 @@
 //! `mcvl bench`: how fast this machine is.
 
+mod gpu;
+
 use std::io::Write as _;
 use std::thread;
 use std::time::Duration;
@@ -12,8 +14,9 @@ use mcvl_core::env::reacher::Reacher;
 use mcvl_core::experiment::EXPERIMENTS;
 use serde_json::json;
 
+use super::session::BackEnd;
 use super::terminal::{Terminal, wrap};
-use super::{Done, WIDTH};
+use super::{Done, WIDTH, usage};
 
 /// The world whose simulators are measured.
 const REACHER: &str = <Reacher as BuiltIn>::NAME;
@@ -25,6 +28,7 @@ Examples:
   mcvl bench
   mcvl bench rocks-and-diamonds --time 2s
   mcvl bench --json > this-machine.json
+  mcvl bench --backend gpu
 
 Shares are of the multiply-adds per second that the machine reaches at most
 without fusing. They count the work of the dense definition: what one-hot
@@ -36,6 +40,12 @@ pub struct BenchArgs {
     /// Time per figure
     #[arg(long, default_value = "300ms", value_name = "TIME", value_parser = humantime::parse_duration)]
     time: Duration,
+    /// What is measured: every part of a run on the processor, or forecasts on a graphics card
+    #[arg(long, value_enum, default_value_t = BackEnd::Cpu, value_name = "WHAT")]
+    backend: BackEnd,
+    /// Graphics card whose name contains this (see `mcvl doctor`)
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -43,6 +53,12 @@ pub struct BenchArgs {
 
 /// Measures and prints.
 pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
+    match (arguments.backend, &arguments.adapter) {
+        (BackEnd::Gpu, _) => return gpu::bench(arguments, terminal),
+        (BackEnd::Auto, _) => usage!("--backend is cpu or gpu: name what is to be measured"),
+        (BackEnd::Cpu, Some(_)) => usage!("--adapter names a graphics card: add --backend gpu"),
+        (BackEnd::Cpu, None) => {}
+    }
     let about = Manifest::begin();
     let cores = thread::available_parallelism().map_or(1, usize::from);
     let optimised = !cfg!(debug_assertions);
@@ -130,7 +146,8 @@ fn short(rate: f64) -> String {
     let decimals = match value {
         value if value >= 99.95 => 0,
         value if value >= 9.995 => 1,
-        _ => 2,
+        value if value >= 0.0995 => 2,
+        _ => 4,
     };
     format!("{value:.decimals$}{unit}")
 }

@@ -3,10 +3,13 @@
 
 use std::time::Duration;
 
+use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::config::Config;
+use mcvl_core::env::{Discrete, Environment};
+use mcvl_core::forecast::Forecaster;
 use mcvl_core::run::Run;
 
-use super::{AdapterInfo, GpuError};
+use super::{AdapterInfo, GpuError, Peak};
 
 /// A device that forecasts. There is none in this build.
 #[derive(Clone, Debug)]
@@ -21,6 +24,14 @@ pub enum Seat {}
 /// # Errors
 /// Always: this program was built without them.
 pub fn adapters() -> Result<Vec<AdapterInfo>, GpuError> {
+    Err(GpuError::Disabled)
+}
+
+/// Measures a device.
+///
+/// # Errors
+/// Always: this program was built without them.
+pub fn peak(_adapter: Option<&str>, _time: Duration) -> Result<Peak, GpuError> {
     Err(GpuError::Disabled)
 }
 
@@ -51,6 +62,11 @@ impl Gpu {
         match *self {}
     }
 
+    /// A forecaster of DDQN learners, for whoever has a trainer of their own.
+    pub fn ddqn<E: Environment<Action = Discrete> + 'static>(&self) -> Box<dyn Forecaster<E, Ddqn> + Send> {
+        match *self {}
+    }
+
     /// Waits until something was finished, or for this long.
     pub fn wait(&self, _time: Duration) {
         match *self {}
@@ -70,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_build_without_graphics_cards_says_how_to_get_them() {
-        for error in [adapters().unwrap_err(), Gpu::open(None).unwrap_err()] {
+        for error in [adapters().unwrap_err(), Gpu::open(None).unwrap_err(), peak(None, Duration::ZERO).unwrap_err()] {
             let text = error.to_string();
             assert!(text.contains("--features gpu") && text.contains("--backend cpu"), "{text}");
         }

@@ -18,9 +18,9 @@ mod enabled;
 use std::fmt;
 
 #[cfg(not(feature = "gpu"))]
-pub use disabled::{Gpu, Seat, adapters};
+pub use disabled::{Gpu, Seat, adapters, peak};
 #[cfg(feature = "gpu")]
-pub use enabled::{Gpu, Seat, adapters};
+pub use enabled::{Gpu, Seat, adapters, peak};
 
 /// Why a graphics card does not forecast.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -97,4 +97,13 @@ impl fmt::Display for AdapterInfo {
         let kind = if self.software { ", on the processor" } else { "" };
         write!(f, "{} ({}{kind})", self.name, self.driver)
     }
+}
+
+/// What a device can do at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Peak {
+    /// Multiply-adds per second, fused where its compiler does so.
+    pub multiply_adds: f64,
+    /// Bytes read and written per second within its memory.
+    pub bytes_moved: f64,
 }

@@ -3,6 +3,7 @@
 mod ddqn;
 mod device;
 mod forecaster;
+mod probe;
 #[cfg(test)]
 mod tests;
 mod worker;
@@ -13,11 +14,14 @@ use std::time::Duration;
 use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::config::{Against, Config};
 use mcvl_core::env::trap::Trapped;
+use mcvl_core::env::{Discrete, Environment};
+use mcvl_core::forecast::Forecaster;
 use mcvl_core::run::Run;
 
 use device::Device;
 pub use device::adapters;
 use forecaster::GpuForecaster;
+pub use probe::peak;
 use worker::Desk;
 
 use super::{AdapterInfo, GpuError};
@@ -68,6 +72,11 @@ impl Gpu {
         let forecaster = GpuForecaster::<Ddqn>::new(self.desk.clone(), waiting.clone());
         run.forecast_with::<Trapped, Ddqn>(Box::new(forecaster)).ok()?;
         Some(Seat(waiting))
+    }
+
+    /// A forecaster of DDQN learners, for whoever has a trainer of their own.
+    pub fn ddqn<E: Environment<Action = Discrete> + 'static>(&self) -> Box<dyn Forecaster<E, Ddqn> + Send> {
+        Box::new(GpuForecaster::<Ddqn>::new(self.desk.clone(), Arc::default()))
     }
 
     /// Waits until something was finished, or for this long.

@@ -52,6 +52,7 @@ fn layouts(source: &str) -> BTreeMap<String, Vec<(String, u32)>> {
 fn kernels_are_valid_and_their_structs_are_ours() {
     let kernel = layouts(ddqn::SOURCE);
     assert_eq!(kernel["Job"], ddqn::Job::layout());
+    layouts(probe::SOURCE);
     for (name, value) in [("SAMPLES", ddqn::SAMPLES), ("THREADS", ddqn::THREADS), ("TILE", ddqn::TILE)] {
         assert!(ddqn::SOURCE.contains(&format!("const {name} = {value}u;")), "{name}");
     }
@@ -312,6 +313,16 @@ fn what_no_kernel_has_stays_on_the_processor() {
         assert!(gpu.equip(&mut Run::new(&config)).is_none());
     }
     assert!(gpu.equip(&mut Run::new(&config("env=tomato-watering"))).is_some());
+}
+
+#[test]
+fn a_device_is_measured() {
+    if device().is_none() {
+        return;
+    }
+    let peak = peak(None, Duration::from_millis(20)).unwrap();
+    assert!(peak.multiply_adds > 1e6 && peak.bytes_moved > 1e6, "{peak:?}");
+    assert!(probe::SOURCE.contains(&format!("const THREADS = {}u;", probe::THREADS)));
 }
 
 #[test]
