@@ -1,4 +1,4 @@
-// Independent chains of multiply-adds, nothing else (twin: `probe` in core/src/nn/isa.rs): what a device can do at
+// Independent chains of multiply-adds, nothing else (twin: `probe_body` in core/src/nn/gemm.rs): what a device can do at
 // most. A compiler of the device may fuse them.
 
 const THREADS = 128u;

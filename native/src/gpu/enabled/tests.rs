@@ -1,13 +1,15 @@
 //! Kernels without a device; futures of a device against the processor's.
 
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::task::Poll;
 use std::thread;
 use std::time::Duration;
 
 use mcvl_core::agent::Agent;
 use mcvl_core::agent::ddqn::Ddqn;
-use mcvl_core::config::{Config, Preset};
+use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::env::trap::Trapped;
 use mcvl_core::env::{ActionSpec, Discrete, ObservationSpec};
 use mcvl_core::forecast::cpu::CpuForecaster;
@@ -18,6 +20,7 @@ use mcvl_core::run::Budget;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use super::*;
+use crate::runs::{self, Control, Ending, Job, Remote, RunDir, RunsError};
 
 /// A device for a test, where there is one. Says so where there is none, or fails where one is required.
 fn device() -> Option<Gpu> {
@@ -333,4 +336,38 @@ fn unknown_adapters_are_named_with_those_there_are() {
     let name = gpu.adapter().name.to_uppercase();
     assert_eq!(Gpu::open(Some(&name)).unwrap().adapter(), gpu.adapter());
     assert!(adapters().unwrap().contains(gpu.adapter()));
+}
+
+/// Trains a short run of one seed in `folder` and says how it ended.
+fn train(folder: &Path, remote: Option<&Remote>, resume: bool) -> Result<Ending, RunsError> {
+    static STOP: AtomicBool = AtomicBool::new(false);
+    let text =
+        "env=box-moving safe_steps=120 full_steps=40 hidden=8 forecast=10 exploration=60 rollouts=2 evaluations=2";
+    let config: Config = text.parse().unwrap();
+    let dir = RunDir::new(folder).seed(0);
+    let job = Job { config, learners: vec![Learner::Baseline, Learner::Mc], dir };
+    let job = if resume { job.resume()? } else { job.ready() };
+    let control = Control::new(Duration::from_secs(60), &STOP, None);
+    runs::train(vec![job], 1, remote, &control, |_| {}).remove(0).result
+}
+
+#[test]
+fn a_run_goes_on_or_stops_with_its_state_saved_when_the_device_is_lost() {
+    let Ok(device) = Device::open(None) else { return };
+    device.destroy();
+    let gpu = Gpu { desk: Desk::open(device) };
+    let [straight, fallen, stopped] = [(); 3].map(|()| mcvl_tests::scratch());
+    assert_eq!(train(straight.path(), None, false).unwrap(), Ending::Finished);
+    let log = |folder: &Path| std::fs::read(RunDir::new(folder).seed(0).path().join("ledger.jsonl")).unwrap();
+    let expected = log(straight.path());
+    assert!(!expected.is_empty());
+
+    let remote = Remote::new(gpu.clone(), true);
+    assert_eq!(train(fallen.path(), Some(&remote), false).unwrap(), Ending::Finished);
+    assert_eq!((remote.fallen().len(), log(fallen.path())), (1, expected.clone()));
+
+    let error = train(stopped.path(), Some(&Remote::new(gpu, false)), false).unwrap_err();
+    assert!(matches!(error, RunsError::BackEnd { seed: 0, .. }), "{error}");
+    assert_eq!(train(stopped.path(), None, true).unwrap(), Ending::Finished);
+    assert_eq!(log(stopped.path()), expected);
 }
