@@ -72,6 +72,26 @@ impl Learned {
         Self { target: live.clone(), live, optimizer }
     }
 
+    /// Its numbers: live parameters, target, moments.
+    fn numbers(&self) -> [&[f32]; 5] {
+        let (first, second, largest) = self.optimizer.moments();
+        [self.live.params(), self.target.params(), first, second, largest]
+    }
+
+    /// Takes over what `steps` further steps, made elsewhere, left at the beginning of `numbers`; the rest of them.
+    fn take_over<'a>(&mut self, steps: u32, numbers: &'a [f32]) -> &'a [f32] {
+        let mut rest = numbers;
+        let [live, target, first, second, largest] = self.numbers().map(|part| {
+            let (own, others) = rest.split_at(part.len());
+            rest = others;
+            own
+        });
+        self.live.params_mut().copy_from_slice(live);
+        self.target.params_mut().copy_from_slice(target);
+        self.optimizer.take_over(steps, [first, second, largest]);
+        rest
+    }
+
     /// One step on the live parameters; with `tau`, the target copy follows.
     fn step(&mut self, gradient: &Gradient, tau: Option<f32>) {
         let target = tau.map(|tau| (self.target.params_mut(), tau));
@@ -188,14 +208,64 @@ impl<const N: usize> Td3<N> {
         self.updates
     }
 
-    /// Half the range of each number of an action.
-    fn half(&self) -> f32 {
+    /// Its settings.
+    pub fn config(&self) -> &Td3Config {
+        &self.config
+    }
+
+    /// The optimisers of the actor and of both critics.
+    pub fn optimizers(&self) -> [&Adam; 3] {
+        [&self.actor.optimizer, &self.critics[0].optimizer, &self.critics[1].optimizer]
+    }
+
+    /// All that updates change, for back ends that make them elsewhere: of the actor and of both critics each the live
+    /// parameters, the target's, and the moments of the optimiser as [`Adam::moments`] gives them.
+    pub fn numbers(&self) -> impl Iterator<Item = f32> {
+        let [first, second] = &self.critics;
+        [&self.actor, first, second].into_iter().flat_map(Learned::numbers).flatten().copied()
+    }
+
+    /// Takes over what `updates` further updates, made elsewhere, left of [`Td3::numbers`].
+    ///
+    /// # Panics
+    /// If there are fewer numbers than before.
+    pub fn take_over(&mut self, updates: u32, numbers: &[f32]) {
+        let before = self.actor_steps();
+        self.updates += u64::from(updates);
+        let steps = (self.actor_steps() - before) as u32;
+        let rest = self.actor.take_over(steps, numbers);
+        self.critics.iter_mut().fold(rest, |rest, critic| critic.take_over(updates, rest));
+    }
+
+    /// Steps of the actor so far.
+    fn actor_steps(&self) -> u64 {
+        self.updates / u64::from(self.config.policy_delay)
+    }
+
+    /// Least and greatest value of each number of an action.
+    pub fn range(&self) -> [f32; 2] {
+        [self.low, self.high]
+    }
+
+    /// Middle of that range.
+    pub fn middle(&self) -> f32 {
+        0.5 * (self.low + self.high)
+    }
+
+    /// Half of that range.
+    pub fn half(&self) -> f32 {
         0.5 * (self.high - self.low)
+    }
+
+    /// Noise of the next target action (step 1 of the update).
+    pub fn target_noise(&self, rng: &mut Rng) -> [f32; N] {
+        let (half, clip) = (self.half(), self.config.noise_clip);
+        core::array::from_fn(|_| (rng.normal() * self.config.policy_noise).clamp(-clip, clip) * half)
     }
 
     /// An output of the actor as a number within the action's range.
     fn squash(&self, output: f32) -> f32 {
-        0.5 * (self.low + self.high) + self.half() * libm::tanhf(output)
+        self.middle() + self.half() * libm::tanhf(output)
     }
 
     fn pair_spec(&self) -> ObservationSpec {
@@ -233,11 +303,9 @@ impl<const N: usize> Td3<N> {
         next_actions.extend_from_slice(self.actor.target.forward(&batch.next_rows, scratch));
         next_pairs.clear(self.pair_spec());
         next.clear();
-        let (half, clip) = (self.half(), self.config.noise_clip);
         for &row in &batch.next_target {
             // Every sample has its draw, so that termination moves no stream.
-            let noise: [f32; N] =
-                core::array::from_fn(|_| (rng.normal() * self.config.policy_noise).clamp(-clip, clip) * half);
+            let noise = self.target_noise(rng);
             if row == NO_ROW {
                 next.push(NO_ROW);
                 continue;

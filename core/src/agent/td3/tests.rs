@@ -270,3 +270,22 @@ fn explores_uniformly_or_around_the_actor_within_the_bounds() {
     let at_bound = agent.explore(&rows, &ACTIONS, 0.0, &mut rng, &mut scratch);
     assert!(at_bound.0.iter().all(|x| *x <= 3.0));
 }
+
+#[test]
+fn updates_made_elsewhere_are_taken_over() {
+    let batch = batch(&transitions(8));
+    let (mut rng, mut trained) = (Rng::new(3), agent(&config(4)));
+    trained.update(&batch, &mut rng);
+    let mut other = trained.clone();
+    for _ in 0..4 {
+        trained.update(&batch, &mut rng);
+    }
+    other.take_over(4, &trained.numbers().collect::<Vec<_>>());
+    assert_eq!(other.updates(), 5);
+    assert_eq!(other.optimizers().map(Adam::steps), trained.optimizers().map(Adam::steps));
+    // From there on they are the same learner.
+    let mut same = rng.clone();
+    trained.update(&batch, &mut rng);
+    other.update(&batch, &mut same);
+    assert!(other.numbers().eq(trained.numbers()));
+}
