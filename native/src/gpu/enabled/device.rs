@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use bytemuck::Pod;
 use wgpu::{
     Adapter, Backends, BindGroupLayout, Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor,
     ComputePipeline, DeviceType, Instance, InstanceDescriptor, Limits, MapMode, PollError, PollType, Queue,
@@ -17,6 +18,20 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Turns of all loops together after which software devices end every loop of an invocation, whatever its condition
 /// (Mesa's llvmpipe, `LP_MAX_TGSI_LOOP_ITERATIONS`): what comes out then is wrong without a word.
 const SOFTWARE_LOOPS: u32 = 65_535;
+
+/// Distance of the records that dispatches choose from: what every device takes.
+pub const DYNAMIC_STEP: u32 = 256;
+
+/// What kernels do with a buffer.
+#[derive(Clone, Copy, Debug)]
+pub enum Binding {
+    /// They read it.
+    Read,
+    /// They read and write it.
+    Write,
+    /// They read the record that each dispatch chooses, see [`Device::records`].
+    Record,
+}
 
 /// An open device.
 #[derive(Debug)]
@@ -135,6 +150,81 @@ impl Device {
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             cache: None,
         })
+    }
+
+    /// Pipelines of the entry points of one module, which have their bindings in common.
+    pub fn pipelines<const N: usize>(
+        &self,
+        label: &str,
+        source: &str,
+        entries: [&str; N],
+        layouts: &[&BindGroupLayout],
+    ) -> [ComputePipeline; N] {
+        let source = ShaderSource::Wgsl(source.into());
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source });
+        let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
+        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(label),
+            bind_group_layouts: &layouts,
+            immediate_size: 0,
+        });
+        entries.map(|name| {
+            self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(name),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some(name),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        })
+    }
+
+    /// Bindings 0, 1, and so on of a group.
+    pub fn layout(&self, label: &str, bindings: &[Binding]) -> BindGroupLayout {
+        let kind = |binding| match binding {
+            Binding::Read => (wgpu::BufferBindingType::Storage { read_only: true }, false),
+            Binding::Write => (wgpu::BufferBindingType::Storage { read_only: false }, false),
+            Binding::Record => (wgpu::BufferBindingType::Uniform, true),
+        };
+        let entries: Vec<_> = (0..)
+            .zip(bindings)
+            .map(|(number, &binding)| {
+                let (ty, has_dynamic_offset) = kind(binding);
+                wgpu::BindGroupLayoutEntry {
+                    binding: number,
+                    visibility: wgpu::ShaderStages::COMPUTE,
+                    ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+                    count: None,
+                }
+            })
+            .collect();
+        self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+    }
+
+    /// A buffer of records of which each dispatch chooses one; they lie [`DYNAMIC_STEP`] bytes apart.
+    pub fn records<T: Pod>(&self, label: &str, records: impl IntoIterator<Item = T>) -> Buffer {
+        let mut bytes = Vec::new();
+        for record in records {
+            bytes.extend_from_slice(bytemuck::bytes_of(&record));
+            bytes.resize(bytes.len().next_multiple_of(DYNAMIC_STEP as usize), 0);
+        }
+        let buffer = self.uniform(label, bytes.len() as u64);
+        self.write(&buffer, 0, &bytes);
+        buffer
+    }
+
+    /// Buffers of records as bindings 0, 1, and so on.
+    pub fn bind_records(&self, label: &str, layout: &BindGroupLayout, buffers: &[&Buffer]) -> wgpu::BindGroup {
+        let size = wgpu::BufferSize::new(u64::from(DYNAMIC_STEP));
+        let entries: Vec<_> = (0..)
+            .zip(buffers)
+            .map(|(binding, buffer)| wgpu::BindGroupEntry {
+                binding,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size }),
+            })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
     }
 
     /// A buffer of zeros with these numbers at its beginning.
