@@ -48,6 +48,8 @@ macro_rules! record {
     };
 }
 
+pub(super) use record;
+
 record! {
     /// `Job` of the kernel.
     Job {

@@ -6,11 +6,12 @@ use std::task::Poll;
 
 use mcvl_core::agent::Agent;
 use mcvl_core::agent::ddqn::Ddqn;
+use mcvl_core::agent::td3::Td3;
 use mcvl_core::forecast::{ForecastError, ForecastJob, Forecaster, Identity};
 use mcvl_core::run::Budget;
 
-use super::ddqn;
 use super::worker::{Desk, Ticket, Waiting, Work};
+use super::{ddqn, td3};
 
 /// A learner that a kernel trains.
 pub trait OnDevice: Agent {
@@ -37,6 +38,23 @@ impl OnDevice for Ddqn {
 
     fn finished(self, packed: &ddqn::Packed, values: &[f32]) -> Self {
         packed.finished(self, values)
+    }
+}
+
+impl<const N: usize> OnDevice for Td3<N> {
+    type Packed = td3::Packed;
+
+    fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<td3::Packed> {
+        td3::pack(jobs)
+    }
+
+    fn order(packed: Arc<td3::Packed>) -> Work {
+        Work::Td3(packed)
+    }
+
+    fn finished(mut self, packed: &td3::Packed, values: &[f32]) -> Self {
+        self.take_over(packed.updates(), values);
+        self
     }
 }
 

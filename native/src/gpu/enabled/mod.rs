@@ -4,6 +4,7 @@ mod ddqn;
 mod device;
 mod forecaster;
 mod probe;
+mod td3;
 #[cfg(test)]
 mod tests;
 mod worker;
@@ -12,7 +13,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mcvl_core::agent::ddqn::Ddqn;
+use mcvl_core::agent::td3::Td3;
 use mcvl_core::config::{Against, Config};
+use mcvl_core::env::reacher::Reacher;
 use mcvl_core::env::trap::Trapped;
 use mcvl_core::env::{Discrete, Environment};
 use mcvl_core::forecast::Forecaster;
@@ -20,11 +23,15 @@ use mcvl_core::run::Run;
 
 use device::Device;
 pub use device::adapters;
-use forecaster::GpuForecaster;
+use forecaster::{GpuForecaster, OnDevice};
 pub use probe::peak;
 use worker::Desk;
 
 use super::{AdapterInfo, GpuError};
+use crate::mujoco::Mujoco;
+
+/// The world that TD3 learns, in configurations.
+const REACHER: &str = "reacher";
 
 /// A device that forecasts, with the thread that owns it. Copies share both; the thread ends with the last copy
 /// and the last equipped run.
@@ -62,16 +69,28 @@ impl Gpu {
         if config.against != Against::Forecast && config.forecast == 0 {
             return Err("it makes no forecasts".to_owned());
         }
-        ddqn::supports(config)
+        if config.env == REACHER { td3::supports(config) } else { ddqn::supports(config) }
     }
 
     /// Lets a run forecast there from here on; `None`, with nothing changed, if [`Gpu::supports`] does not.
     pub fn equip(&self, run: &mut Run) -> Option<Seat> {
         self.supports(run.config()).ok()?;
         let waiting = Arc::new(worker::Waiting::default());
-        let forecaster = GpuForecaster::<Ddqn>::new(self.desk.clone(), waiting.clone());
-        run.forecast_with::<Trapped, Ddqn>(Box::new(forecaster)).ok()?;
-        Some(Seat(waiting))
+        let taken = self.seat::<Trapped, Ddqn>(run, &waiting)
+            || self.seat::<Reacher, Td3<2>>(run, &waiting)
+            || self.seat::<Reacher<Mujoco>, Td3<2>>(run, &waiting);
+        taken.then_some(Seat(waiting))
+    }
+
+    /// Whether the run is of this world and learner; it forecasts there then.
+    fn seat<E, A>(&self, run: &mut Run, waiting: &Arc<worker::Waiting>) -> bool
+    where
+        E: Environment<Action = A::Action> + 'static,
+        A: OnDevice + 'static,
+        GpuForecaster<A>: Send,
+    {
+        let forecaster = GpuForecaster::<A>::new(self.desk.clone(), waiting.clone());
+        run.forecast_with::<E, A>(Box::new(forecaster)).is_ok()
     }
 
     /// A forecaster of DDQN learners, for whoever has a trainer of their own.

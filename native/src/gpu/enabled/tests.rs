@@ -23,7 +23,7 @@ use super::*;
 use crate::runs::{self, Control, Ending, Job, Remote, RunDir, RunsError};
 
 /// A device for a test, where there is one. Says so where there is none, or fails where one is required.
-fn device() -> Option<Gpu> {
+pub fn device() -> Option<Gpu> {
     match Gpu::open(None) {
         Ok(gpu) => Some(gpu),
         Err(error) if std::env::var_os("MCVL_REQUIRE_GPU").is_none() => {
@@ -35,7 +35,7 @@ fn device() -> Option<Gpu> {
 }
 
 /// Members of the structs of a kernel with their offsets.
-fn layouts(source: &str) -> BTreeMap<String, Vec<(String, u32)>> {
+pub fn layouts(source: &str) -> BTreeMap<String, Vec<(String, u32)>> {
     let module =
         naga::front::wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
     Validator::new(ValidationFlags::all(), Capabilities::empty())

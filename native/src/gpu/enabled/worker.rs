@@ -11,8 +11,8 @@ use mcvl_core::forecast::ForecastError;
 use wgpu::CommandEncoder;
 
 use super::super::{AdapterInfo, GpuError};
-use super::ddqn;
 use super::device::Device;
+use super::{ddqn, td3};
 
 /// How long a slice of work should take: far below the two seconds after which drivers take a kernel for hung.
 const SLICE: Duration = Duration::from_millis(50);
@@ -43,12 +43,15 @@ pub trait Training: Debug {
 pub enum Work {
     /// A DDQN learner.
     Ddqn(Arc<ddqn::Packed>),
+    /// A TD3 learner.
+    Td3(Arc<td3::Packed>),
 }
 
 impl Work {
     fn updates(&self) -> u32 {
         match self {
             Self::Ddqn(packed) => packed.updates(),
+            Self::Td3(packed) => packed.updates(),
         }
     }
 
@@ -56,6 +59,15 @@ impl Work {
     fn bytes(&self) -> [u64; 2] {
         match self {
             Self::Ddqn(packed) => packed.bytes(),
+            Self::Td3(packed) => packed.bytes(),
+        }
+    }
+
+    /// Turns of the loops of one invocation in the least that can be dispatched.
+    fn loops(&self) -> u32 {
+        match self {
+            Self::Ddqn(packed) => packed.loops(),
+            Self::Td3(packed) => packed.loops(),
         }
     }
 
@@ -68,9 +80,8 @@ impl Work {
                 "it needs {needed} MiB in one buffer, and there may be {largest}"
             )));
         }
-        let Self::Ddqn(packed) = self;
-        let limit = loops.filter(|limit| packed.loops() > *limit)?;
-        Some(GpuError::TooLarge(format!("an update has {} turns of loops, and there may be {limit}", packed.loops())))
+        let limit = loops.filter(|limit| self.loops() > *limit)?;
+        Some(GpuError::TooLarge(format!("an update has {} turns of loops, and there may be {limit}", self.loops())))
     }
 }
 
@@ -235,6 +246,8 @@ struct Worker {
     device: Device,
     room: Arc<Room>,
     ddqn: ddqn::Kernel,
+    /// Built for the first job.
+    td3: Option<td3::Kernel>,
     running: Vec<Running>,
     slice: u32,
 }
@@ -242,7 +255,7 @@ struct Worker {
 impl Worker {
     fn new(device: Device, room: Arc<Room>) -> Self {
         let ddqn = ddqn::Kernel::new(&device);
-        Self { device, room, ddqn, running: Vec::new(), slice: FIRST_SLICE }
+        Self { device, room, ddqn, td3: None, running: Vec::new(), slice: FIRST_SLICE }
     }
 
     fn work(mut self) {
@@ -295,18 +308,27 @@ impl Worker {
     }
 
     fn start(&mut self, orders: Vec<Order>) {
-        let mut ddqn = (Vec::new(), Vec::new());
+        let (mut ddqn, mut td3) = ((Vec::new(), Vec::new()), (Vec::new(), Vec::new()));
         for Order { work, ticket } in orders {
             match work {
                 Work::Ddqn(packed) => {
                     ddqn.0.push(packed);
                     ddqn.1.push(ticket);
                 }
+                Work::Td3(packed) => {
+                    td3.0.push(packed);
+                    td3.1.push(ticket);
+                }
             }
         }
         if !ddqn.0.is_empty() {
             let training = Box::new(ddqn::Batch::new(&self.device, &self.ddqn, &ddqn.0));
             self.running.push(Running { training, tickets: ddqn.1, done: 0 });
+        }
+        if !td3.0.is_empty() {
+            let kernel = self.td3.get_or_insert_with(|| td3::Kernel::new(&self.device));
+            let training = Box::new(td3::Batch::new(&self.device, kernel, &td3.0));
+            self.running.push(Running { training, tickets: td3.1, done: 0 });
         }
     }
 
