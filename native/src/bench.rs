@@ -12,19 +12,20 @@ use std::task::Poll;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use mcvl_core::agent::Agent as _;
+use mcvl_core::agent::Agent;
 use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::agent::reward_model::RewardModel;
+use mcvl_core::agent::td3::Td3;
+use mcvl_core::check::utility::{Judge, Start, rate};
 use mcvl_core::config::{Config, ConfigError, Learner, Preset};
-use mcvl_core::env::box_moving::BoxMoving;
-use mcvl_core::env::reacher::{Button, ClosedForm, Reacher};
-use mcvl_core::env::{Action, Discrete, Environment, EpisodeEnd};
+use mcvl_core::env::reacher::{self, ClosedForm, Reacher};
+use mcvl_core::env::trap::Trapped;
+use mcvl_core::env::{Action, BuiltIn as _, Environment, EpisodeEnd, Step};
 use mcvl_core::forecast::cpu::CpuForecaster;
 use mcvl_core::forecast::{Carry, ForecastJob, Forecaster as _};
 use mcvl_core::nn::gemm::PROBE_LANES;
 use mcvl_core::nn::isa::{Isa, probe};
-use mcvl_core::play::Play;
-use mcvl_core::record::{Arm, Event};
+use mcvl_core::record::Event;
 use mcvl_core::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use mcvl_core::rng::Rng;
 use mcvl_core::run::{Budget, Run, Status};
@@ -34,8 +35,10 @@ pub use gpu::{JOBS, Throughput};
 
 use crate::mujoco;
 
-/// Updates of the measured forecast: those of a check in Box Moving.
-const FORECAST: u32 = 500;
+/// Updates of the measured forecasts in gridworlds: those of a check in Box Moving, and the paper's for others.
+const FORECASTS: [u32; 2] = [500, 5000];
+/// The same in Reacher, where an update takes milliseconds: the 10,000 of a check would take a minute.
+const FORECASTS_REACHER: [u32; 1] = [50];
 /// Experience behind the measured updates: what a run has after its random steps.
 const TRANSITIONS: u32 = 1000;
 /// Rounds of the probe per call.
@@ -129,19 +132,15 @@ pub fn peak(threads: usize, time: Duration) -> Rates {
     Rates { one: case.rate(1, time, best), all: case.rate(threads, time, best) }
 }
 
-/// A world with learners of the paper's sizes and some experience.
-pub struct Bench {
-    config: Config,
-    agent: Ddqn,
-    model: RewardModel,
-    replay: ReplayBuffer<Discrete>,
-    /// One surprise, as a check forces it into the mini-batches of a forecast.
-    surprise: Transition<Discrete>,
-    /// A run with its first check under way; each thread takes a copy.
-    checking: Mutex<Run>,
+/// A built-in world with what is measured in it.
+pub enum World {
+    /// A gridworld, and a run with its first check under way, of which each thread takes a copy.
+    Gridworld(Box<Bench<Trapped, Ddqn>>, Mutex<Run>),
+    /// Reacher in closed form.
+    Reacher(Box<Bench<Reacher, Td3<2>>>),
 }
 
-impl Bench {
+impl World {
     /// Prepares the world of this name.
     ///
     /// # Errors
@@ -151,48 +150,91 @@ impl Bench {
     /// If a few steps of training diverge with the paper's settings.
     pub fn new(env: &str) -> Result<Self, ConfigError> {
         let config = Config::new(env, Preset::Paper)?;
-        let mut play = Play::new(&config, Arm::Safe);
-        let agent = Ddqn::configured(&config, play.spec());
-        let model = RewardModel::configured(&config, play.spec());
-        let mut replay = ReplayBuffer::new(play.spec().observation, TRANSITIONS);
-        let mut rng = Rng::new(1);
-        let mut surprise = None;
-        for _ in 0..TRANSITIONS {
-            let transition = random_step(&mut play, &mut rng);
-            replay.push(&transition);
-            surprise = Some(transition);
-        }
-        Ok(Self {
-            checking: Mutex::new(checking(&config)?),
-            config,
-            agent,
-            model,
-            replay,
-            surprise: surprise.expect("a step"),
+        Ok(match Trapped::worlds(&config) {
+            Some((_, world)) => {
+                let agent = Ddqn::configured(&config, world.spec());
+                let checking = Mutex::new(checking(&config)?);
+                Self::Gridworld(Box::new(Bench::new(config, world, agent)), checking)
+            }
+            None => {
+                let (_, world) = Reacher::worlds(&config);
+                let agent = Td3::configured(&config, world.spec());
+                Self::Reacher(Box::new(Bench::new(config, world, agent)))
+            }
         })
     }
 
     /// Everything that is measured here.
     pub fn cases(&self) -> Vec<Case<'_>> {
+        match self {
+            Self::Gridworld(bench, checking) => {
+                let mut cases = bench.cases(&FORECASTS, |batch| bench.agent.update_work(batch));
+                let practice = if bench.config.practice { " + practice" } else { "" };
+                let name = format!("check of 2 x {}{practice}", bench.config.forecast);
+                cases.push(Case { name, work: None, worker: Box::new(|| check(checking)) });
+                let worker = Box::new(|| steps(bench.world.clone()));
+                cases.push(Case { name: "environment step".into(), work: None, worker });
+                cases
+            }
+            Self::Reacher(bench) => {
+                let mut cases = bench.cases(&FORECASTS_REACHER, |batch| bench.agent.update_work(batch));
+                cases.extend(simulators(&bench.config));
+                cases
+            }
+        }
+    }
+}
+
+/// A world with learners of the paper's sizes and some experience.
+pub struct Bench<E, A: Agent> {
+    config: Config,
+    world: E,
+    agent: A,
+    model: RewardModel,
+    replay: ReplayBuffer<A::Action>,
+    /// One surprise, as a check forces it into the mini-batches of a forecast.
+    surprise: Transition<A::Action>,
+}
+
+impl<E, A> Bench<E, A>
+where
+    E: Environment<Action = A::Action> + Sync,
+    A: Agent<Action: Sync> + Sync,
+{
+    fn new(config: Config, world: E, agent: A) -> Self {
+        let model = RewardModel::configured(&config, world.spec());
+        let mut replay = ReplayBuffer::new(world.spec().observation, TRANSITIONS);
+        let mut walk = Walk::new(world.clone());
+        for _ in 0..TRANSITIONS {
+            replay.push(&walk.transition());
+        }
+        let surprise = walk.transition();
+        Self { config, world, agent, model, replay, surprise }
+    }
+
+    /// What every world has; `work` gives the multiply-adds of an update on so many transitions.
+    fn cases(&self, forecasts: &[u32], work: impl Fn(u32) -> u64) -> Vec<Case<'_>> {
         let batch = self.config.batch;
-        let forced = self.agent.update_work(batch + 1);
         let case = |name: String, work, worker| Case { name, work, worker };
-        let practice = if self.config.practice { " with practice" } else { "" };
-        vec![
-            case("value update".into(), Some(self.agent.update_work(batch)), Box::new(|| self.value_update())),
+        let mut cases = vec![
+            case("value update".into(), Some(work(batch)), Box::new(|| self.value_update()) as Worker<'_>),
             case("reward update".into(), Some(self.model.update_work(batch)), Box::new(|| self.reward_update())),
-            case(
-                format!("forecast of {FORECAST} updates"),
-                Some(u64::from(FORECAST) * forced),
-                Box::new(|| self.forecast()),
-            ),
-            case(format!("check of 2 x {} updates{practice}", self.config.forecast), None, Box::new(|| self.check())),
-            case("environment step".into(), None, Box::new(|| self.environment())),
-        ]
+        ];
+        for &updates in forecasts {
+            let worker = Box::new(move || self.forecast(updates));
+            cases.push(case(
+                format!("forecast of {updates} updates"),
+                Some(u64::from(updates) * work(batch + 1)),
+                worker,
+            ));
+        }
+        let (rollouts, steps) = (self.starts().len(), self.config.rollout_steps);
+        cases.push(case(format!("rating by {rollouts} x {steps} steps"), None, Box::new(|| self.rating())));
+        cases
     }
 
     /// A function that draws the next mini-batch.
-    fn batches(&self) -> impl FnMut(&mut Minibatch<Discrete>) + '_ {
+    fn batches(&self) -> impl FnMut(&mut Minibatch<A::Action>) + '_ {
         let (mut slots, mut rng) = (Vec::new(), Rng::new(2));
         let none = Forced::new(&[], &self.replay);
         move |batch| {
@@ -222,14 +264,14 @@ impl Bench {
         })
     }
 
-    fn forecast(&self) -> Call<'_> {
+    fn forecast(&self, updates: u32) -> Call<'_> {
         let mut forecaster = CpuForecaster::default();
         Box::new(move || {
-            let jobs = [ForecastJob::<BoxMoving, _> {
+            let jobs = [ForecastJob::<E, _> {
                 agent: &self.agent,
                 replay: &self.replay,
                 forced: std::slice::from_ref(&self.surprise),
-                updates: FORECAST,
+                updates,
                 batch: self.config.batch,
                 seed: 0,
                 carry: Carry::ALL,
@@ -243,41 +285,47 @@ impl Bench {
         })
     }
 
-    fn check(&self) -> Call<'_> {
-        let begun = self.checking.lock().expect("nobody panics while copying").clone();
-        Box::new(move || {
-            let mut run = begun.clone();
-            let start = Instant::now();
-            let mut time = None;
-            while time.is_none() {
-                // The leg goes on behind the check; the clock does not.
-                let mut watch = |event: &Event| {
-                    if matches!(event, Event::Check(_)) {
-                        time.get_or_insert(start.elapsed());
-                    }
-                };
-                run.poll(Budget(u32::MAX), &mut watch).expect("the first check does not diverge");
-            }
-            Sample { count: 1.0, time: time.unwrap_or_default() }
-        })
+    /// Where the rollouts of a check begin: fresh resets, equal ones once, and the state after the step, for
+    /// which another reset stands in.
+    fn starts(&self) -> Vec<Start<E>> {
+        let resets = if self.world.spec().deterministic { self.config.rollouts.min(1) } else { self.config.rollouts };
+        let model = self.world.model();
+        let count = u64::from(resets) + u64::from(self.config.current_rollout);
+        (0..count).map(|i| Start::reset(&model, Rng::new(i))).collect()
     }
 
-    fn environment(&self) -> Call<'_> {
-        let mut play = Play::new(&self.config, Arm::Mc);
-        let (actions, mut rng) = (play.spec().actions, Rng::new(4));
+    fn rating(&self) -> Call<'_> {
+        let starts = self.starts();
         Box::new(move || {
-            timed(1000, || {
-                if black_box(play.step(Discrete::sample(&actions, &mut rng))).is_none() {
-                    play.restart();
-                }
-            })
+            let judge = Judge { value: &self.agent, reward: &self.model, config: &self.config };
+            timed(1, || drop(black_box(rate(&self.agent, &judge, starts.clone()))))
         })
     }
 }
 
+/// Goes on with a check that has just begun, to its verdict.
+fn check(checking: &Mutex<Run>) -> Call<'_> {
+    let begun = checking.lock().expect("nobody panics while copying").clone();
+    Box::new(move || {
+        let mut run = begun.clone();
+        let start = Instant::now();
+        let mut time = None;
+        while time.is_none() {
+            // The leg goes on behind the check; the clock does not.
+            let mut watch = |event: &Event| {
+                if matches!(event, Event::Check(_)) {
+                    time.get_or_insert(start.elapsed());
+                }
+            };
+            run.poll(Budget(u32::MAX), &mut watch).expect("the first check does not diverge");
+        }
+        Sample { count: 1.0, time: time.unwrap_or_default() }
+    })
+}
+
 /// Steps of Reacher, moved by each simulator that this program has.
-pub fn reacher<'a>() -> Vec<Case<'a>> {
-    let button = Some(Button::proposal());
+fn simulators<'a>(config: &Config) -> Vec<Case<'a>> {
+    let button = reacher::button(config);
     let closed: Worker<'a> = Box::new(move || steps(Reacher::new(ClosedForm::default(), button)));
     let mut cases = vec![Case { name: "step in closed form".to_owned(), work: None, worker: closed }];
     if let Ok(world) = mujoco::reacher(button) {
@@ -288,35 +336,59 @@ pub fn reacher<'a>() -> Vec<Case<'a>> {
 }
 
 /// Random play in a world, resets included.
-fn steps<'a, E: Environment + 'a>(mut world: E) -> Call<'a> {
-    let (actions, mut rng, mut chance) = (world.spec().actions, Rng::new(4), Rng::new(5));
-    let mut observation = vec![0.0; world.spec().observation.width];
-    world.reset(&mut rng, &mut observation);
-    Box::new(move || {
-        timed(1000, || {
-            let action = E::Action::sample(&actions, &mut chance);
-            if black_box(world.step(&action, &mut rng, &mut observation)).end.is_some() {
-                world.reset(&mut rng, &mut observation);
-            }
-        })
-    })
+fn steps<'a, E: Environment + 'a>(world: E) -> Call<'a> {
+    let mut walk = Walk::new(world);
+    Box::new(move || timed(1000, || walk.step()))
 }
 
-/// A step of random play as a transition; the next episode begins behind the end of one.
-fn random_step(play: &mut Play, rng: &mut Rng) -> Transition<Discrete> {
-    if play.score().end.is_some() {
-        play.restart();
+/// Random play in a world.
+struct Walk<E> {
+    world: E,
+    observation: Vec<f32>,
+    /// Randomness of the world and of the actions.
+    rng: Rng,
+    chance: Rng,
+}
+
+impl<E: Environment> Walk<E> {
+    fn new(mut world: E) -> Self {
+        let (mut rng, chance) = (Rng::new(4), Rng::new(5));
+        let mut observation = vec![0.0; world.spec().observation.width];
+        world.reset(&mut rng, &mut observation);
+        Self { world, observation, rng, chance }
     }
-    let observation = play.observation().to_vec();
-    let actions = play.spec().actions;
-    let action = Discrete::sample(&actions, rng);
-    let step = play.step(action).expect("the episode is not over");
-    Transition {
-        observation,
-        action,
-        reward: play.spec().scaled(step.reward),
-        next_observation: play.observation().to_vec(),
-        terminated: step.end == Some(EpisodeEnd::Terminated),
+
+    /// A step; where it ends an episode, the next one begins.
+    fn step(&mut self) {
+        let (_, step) = self.act();
+        self.go_on(step.end);
+    }
+
+    fn act(&mut self) -> (E::Action, Step) {
+        let action = E::Action::sample(&self.world.spec().actions, &mut self.chance);
+        let step = self.world.step(&action, &mut self.rng, &mut self.observation);
+        (action, black_box(step))
+    }
+
+    fn go_on(&mut self, end: Option<EpisodeEnd>) {
+        if end.is_some() {
+            self.world.reset(&mut self.rng, &mut self.observation);
+        }
+    }
+
+    /// The same step as a transition.
+    fn transition(&mut self) -> Transition<E::Action> {
+        let observation = self.observation.clone();
+        let (action, step) = self.act();
+        let next_observation = self.observation.clone();
+        self.go_on(step.end);
+        Transition {
+            observation,
+            action,
+            reward: self.world.spec().scaled(step.reward),
+            next_observation,
+            terminated: step.end == Some(EpisodeEnd::Terminated),
+        }
     }
 }
 
@@ -357,35 +429,54 @@ mod tests {
         assert_eq!(case.rates(1, Duration::from_millis(5)), Rates { one: 10.0, all: 10.0 });
     }
 
-    #[test]
-    fn every_simulator_of_reacher_is_measured() {
-        let cases = reacher();
-        let names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
-        let expected = ["step in closed form", "step in MuJoCo"];
-        assert_eq!(names, expected[..1 + usize::from(cfg!(feature = "mujoco"))]);
-        for case in &cases {
+    fn names<'a>(cases: &'a [Case<'_>]) -> Vec<&'a str> {
+        cases.iter().map(|case| case.name.as_str()).collect()
+    }
+
+    /// Every case does something, and says it in a column of 30 characters.
+    fn all_are_done(cases: &[Case<'_>]) {
+        for case in cases {
             let Sample { count, time } = (case.worker)()();
-            assert!(count >= 1.0 && time > Duration::ZERO, "{}", case.name);
+            assert!(count >= 1.0 && time > Duration::ZERO && case.name.len() <= 30, "{}", case.name);
         }
     }
 
     #[test]
+    fn reacher_is_measured_in_every_simulator() {
+        let world = World::new("reacher").unwrap();
+        let cases = world.cases();
+        let learning = ["value update", "reward update", "forecast of 50 updates", "rating by 100 x 50 steps"];
+        assert_eq!(names(&cases[..4]), learning);
+        let simulators = ["step in closed form", "step in MuJoCo"];
+        assert_eq!(names(&cases[4..]), simulators[..1 + usize::from(cfg!(feature = "mujoco"))]);
+        // The sum of the table in the documentation of `nn`.
+        assert_eq!(cases[0].work, Some(200_278_016));
+        all_are_done(&cases);
+    }
+
+    #[test]
     fn every_case_does_what_it_says() {
-        let bench = Bench::new("box-moving").unwrap();
+        let world = World::new("box-moving").unwrap();
+        let World::Gridworld(bench, checking) = &world else { panic!("Box Moving is a gridworld") };
         assert_eq!(bench.replay.len(), TRANSITIONS);
-        let cases = bench.cases();
-        let names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
-        let expected = ["value update", "reward update", "forecast of 500 updates", "check of 2 x 500 updates"];
-        assert_eq!(names[..4], expected);
+        let cases = world.cases();
+        let expected = [
+            "value update",
+            "reward update",
+            "forecast of 500 updates",
+            "forecast of 5000 updates",
+            "rating by 2 x 30 steps",
+            "check of 2 x 500",
+            "environment step",
+        ];
+        assert_eq!(names(&cases), expected);
         // 11 inputs, two layers of 128 units, 2 actions: F = 18048, of which 1408 in the first layer.
         assert_eq!(cases[0].work, Some(32 * (5 * 18048 - 1408)));
-        for case in &cases {
-            let Sample { count, time } = (case.worker)()();
-            assert!(count >= 1.0 && time > Duration::ZERO, "{}", case.name);
-        }
+        assert_eq!(cases[3].work, cases[2].work.map(|work| 10 * work));
+        all_are_done(&cases);
         // The measured check is a whole one: two forecasts, neither of them reused.
         let mut checks = Vec::new();
-        let mut run = bench.checking.lock().unwrap().clone();
+        let mut run = checking.lock().unwrap().clone();
         let mut watch = |event: &Event| {
             if let Event::Check(check) = event {
                 checks.push((check.number, check.cost, check.reused));
@@ -393,6 +484,14 @@ mod tests {
         };
         while run.poll(Budget(u32::MAX), &mut watch).unwrap() != Status::Done {}
         assert_eq!(checks, [(1, 1000, false)]);
-        assert!(Bench::new("box-movin").is_err());
+        assert!(World::new("box-movin").is_err());
+    }
+
+    #[test]
+    fn ratings_begin_where_those_of_a_check_do() {
+        for (env, count) in [("box-moving", 2), ("absent-supervisor", 21), ("tomato-watering", 101)] {
+            let World::Gridworld(bench, _) = World::new(env).unwrap() else { panic!("{env} is a gridworld") };
+            assert_eq!(bench.starts().len(), count, "{env}");
+        }
     }
 }

@@ -11,7 +11,7 @@ use mcvl_core::forecast::{Carry, ForecastJob};
 use mcvl_core::run::Budget;
 use serde::Serialize;
 
-use super::{Bench, Case, FORECAST};
+use super::{Bench, Case, FORECASTS};
 use crate::gpu::Gpu;
 
 /// Forecasts that are under way at once.
@@ -30,7 +30,7 @@ pub struct Throughput {
     pub updates_per_second: f64,
 }
 
-impl Bench {
+impl Bench<Trapped, Ddqn> {
     /// Forecasts on a card: `jobs` at once, half of them with the surprise, as in checks; for about this time, if the
     /// device makes `expected` updates per second. `None` if even a short measurement would take twenty times as long.
     ///
@@ -82,8 +82,9 @@ impl Bench {
 
     /// Updates per second in forecasts of the processor, on so many cores together.
     pub fn forecast_updates(&self, cores: usize, time: Duration) -> f64 {
-        let case = Case { name: String::new(), work: None, worker: Box::new(|| self.forecast()) };
-        f64::from(FORECAST) * case.rates(cores, time).all
+        let [updates, ..] = FORECASTS;
+        let case = Case { name: String::new(), work: None, worker: Box::new(|| self.forecast(updates)) };
+        f64::from(updates) * case.rates(cores, time).all
     }
 
     /// Multiply-adds of an update in a forecast, by the dense definition.

@@ -7,19 +7,14 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
-use mcvl::bench::{self, Bench, Rates, peak};
+use mcvl::bench::{Rates, World, peak};
 use mcvl::runs::Manifest;
-use mcvl_core::env::BuiltIn;
-use mcvl_core::env::reacher::Reacher;
 use mcvl_core::experiment::EXPERIMENTS;
 use serde_json::json;
 
 use super::session::BackEnd;
 use super::terminal::{Terminal, wrap};
 use super::{Done, WIDTH, usage};
-
-/// The world whose simulators are measured.
-const REACHER: &str = <Reacher as BuiltIn>::NAME;
 
 /// Arguments of `mcvl bench`.
 #[derive(Args)]
@@ -33,7 +28,11 @@ Examples:
 Shares are of the multiply-adds per second that the machine reaches at most
 without fusing. They count the work of the dense definition: what one-hot
 inputs and equal states save shows as speed, even beyond 100 %. What other
-programs take of the cores is missing in the figures.")]
+programs take of the cores is missing in the figures.
+
+A rating is what a check does with each of its two futures: so many rollouts of
+so many steps, equal ones once. What takes longer than the time per figure is
+done twice, and the second time counts.")]
 pub struct BenchArgs {
     /// Only this environment
     env: Option<String>,
@@ -65,14 +64,11 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
     if !optimised {
         terminal.note("note: built without optimisation, so these are not the figures of this machine");
     }
-    let mut envs: Vec<&str> = match &arguments.env {
+    let envs: Vec<&str> = match &arguments.env {
         Some(env) => vec![env],
         None => EXPERIMENTS.iter().map(|experiment| experiment.name).collect(),
     };
-    let reacher = envs.pop_if(|env| *env == REACHER);
-    let benches = envs.iter().map(|env| Bench::new(env)).collect::<Result<Vec<_>, _>>()?;
-    let groups = envs.iter().zip(&benches).map(|(env, bench)| (*env, bench.cases()));
-    let groups = groups.chain(reacher.map(|env| (env, bench::reacher())));
+    let worlds = envs.iter().map(|env| World::new(env)).collect::<Result<Vec<_>, _>>()?;
     let peak = peak(cores, arguments.time);
     if !arguments.json {
         writeln!(terminal.out, "{}, {}", about.cpu, about.vector)?;
@@ -84,11 +80,11 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
         writeln!(terminal.out, "{:<32}{:>9} {:>7}  {:>9} {:>7}", "per second", "one core", "peak", all, "peak")?;
     }
     let mut measured = Vec::new();
-    for (env, cases) in groups {
+    for (env, world) in envs.iter().zip(&worlds) {
         if !arguments.json {
             writeln!(terminal.out, "{}", terminal.paint(1, env))?;
         }
-        for case in cases {
+        for case in world.cases() {
             let rates = case.rates(cores, arguments.time);
             let share = case
                 .work

@@ -374,7 +374,7 @@ fn speed_is_measured_on_one_core_and_on_all() {
     let bench = json(&ok(folder.path(), "bench box-moving --time 1ms --json -q"));
     assert!(bench["cores"].as_u64() > Some(0) && bench["multiply_adds_per_second"]["one"].as_f64() > Some(0.0));
     let measured = bench["measured"].as_array().unwrap();
-    assert_eq!(measured.len(), 5);
+    assert_eq!(measured.len(), 7);
     for case in measured {
         let name = case["name"].as_str().unwrap();
         assert!(answer.stdout.contains(&format!("\n  {name} ")), "{name} is missing in\n{}", answer.stdout);
@@ -391,8 +391,8 @@ fn speed_is_measured_on_one_core_and_on_all() {
         }
     }
     let reacher = json(&ok(folder.path(), "bench reacher --time 1ms --json -q"));
-    let simulators = reacher["measured"].as_array().unwrap();
-    assert!(!simulators.is_empty() && simulators.iter().all(|case| case["per_second"]["one"].as_f64() > Some(0.0)));
+    let measured = reacher["measured"].as_array().unwrap();
+    assert!(measured.len() >= 5 && measured.iter().all(|case| case["per_second"]["one"].as_f64() > Some(0.0)));
     let answer = ask(folder.path(), "bench box-movin");
     assert!(answer.code == 2 && answer.stderr.contains("did you mean `box-moving`?"), "{}", answer.stderr);
 }

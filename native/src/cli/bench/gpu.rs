@@ -4,13 +4,18 @@ use std::io::Write as _;
 use std::thread;
 
 use anyhow::anyhow;
-use mcvl::bench::{Bench, JOBS};
+use mcvl::bench::{JOBS, World};
 use mcvl::gpu::{self, Gpu};
+use mcvl_core::env::BuiltIn;
+use mcvl_core::env::reacher::Reacher;
 use serde_json::json;
 
 use super::super::terminal::{Terminal, wrap};
 use super::super::{Done, WIDTH, usage};
-use super::{BenchArgs, REACHER, short};
+use super::{BenchArgs, short};
+
+/// The world that has no forecasts on a card.
+const REACHER: &str = <Reacher as BuiltIn>::NAME;
 
 /// Worlds whose forecasts have a kernel.
 const WORLDS: [&str; 3] = ["box-moving", "absent-supervisor", "tomato-watering"];
@@ -45,7 +50,7 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
     }
     let mut measured = Vec::new();
     for world in worlds {
-        let bench = Bench::new(world)?;
+        let World::Gridworld(bench, _) = World::new(world)? else { unreachable!("only {REACHER} is another") };
         // The same update, in forecasts of the processor.
         let processor = bench.forecast_updates(cores, arguments.time);
         if !arguments.json {
