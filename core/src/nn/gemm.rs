@@ -61,19 +61,11 @@ impl Finish<'_> {
     /// On the sums that were stored at `at`. In memory and not in registers: a choice between the two is
     /// what keeps compilers from holding the sums in registers at all.
     #[inline(always)]
-    fn apply(self, sums: &mut [f32], at: usize) {
+    fn apply<L: Lanes>(self, sums: &mut [f32], at: usize) {
         match self {
             Finish::Plain => {}
-            Finish::Relu => {
-                for sum in sums {
-                    *sum = if *sum < 0.0 { 0.0 } else { *sum };
-                }
-            }
-            Finish::Where(active) => {
-                for (sum, active) in sums.iter_mut().zip(&active[at..]) {
-                    *sum = if *active > 0.0 { *sum } else { 0.0 };
-                }
-            }
+            Finish::Relu => L::relu(sums),
+            Finish::Where(active) => L::keep(sums, &active[at..at + sums.len()]),
         }
     }
 }
@@ -89,7 +81,7 @@ pub struct Output<'a> {
 }
 
 /// Numbers in a vector.
-const fn lanes<L: Lanes>() -> usize {
+pub(super) const fn lanes<L: Lanes>() -> usize {
     size_of::<L::Vector>() / size_of::<f32>()
 }
 
@@ -119,50 +111,117 @@ fn start<L: Lanes, const VECTORS: usize>(bias: Option<&[f32]>, j: usize) -> [L::
 }
 
 /// Rows of the right matrix that are used before the next ones are: as many as a mask has bits. With the
-/// widest stripe they are 16 KiB and stay in the first cache.
-const BLOCK: usize = 32;
-/// Masks made at once, so that making them and using them overlap.
+/// widest stripe they are 32 KiB and stay in the first cache.
+const BLOCK: usize = u64::BITS as usize;
+/// Masks made at once, so that making them and using them overlap, and that all stripes share them.
 const MASKS: usize = 64;
+
+/// Columns for which the products are compiled once more: units of a layer of the paper's learners in gridworlds.
+const UNITS: usize = 128;
 
 /// Bit `l` is set where number `l` is not zero.
 #[inline(always)]
-fn mask<L: Lanes>(numbers: &[f32]) -> u32 {
+fn mask<L: Lanes>(numbers: &[f32]) -> u64 {
     let (whole, rest) = numbers.as_chunks::<16>();
     let mut mask = 0;
     for (i, lanes) in whole.iter().enumerate() {
-        mask |= L::nonzero(lanes) << (16 * i);
+        mask |= u64::from(L::nonzero(lanes)) << (16 * i);
     }
     for (l, x) in rest.iter().enumerate() {
-        mask |= u32::from(*x != 0.0) << (16 * whole.len() + l);
+        mask |= u64::from(*x != 0.0) << (16 * whole.len() + l);
     }
     mask
 }
 
-/// Adds `factor(k) · b[k, ..]` for the bits `k` of `mask`; `b` begins with the columns in question.
-#[inline(always)]
-fn add_terms<L: Lanes, const VECTORS: usize>(
-    mut mask: u32,
-    left: (&[f32], usize),
-    b: &[f32],
-    cols: usize,
-    sums: &mut [L::Vector; VECTORS],
+/// A block of terms of some rows of sums.
+struct Terms<'a> {
+    /// Of every row, which terms are not zero.
+    masks: &'a [u64],
+    /// The rows of the right matrix that belong to the terms.
+    right: Matrix<'a>,
+    /// The first terms of all, in the first block: a bias or zeros.
+    begin: Option<Option<&'a [f32]>>,
+    /// What is done to the sums after the last block.
+    finish: Option<Finish<'a>>,
+    /// The first of the rows in the output.
+    row: usize,
+}
+
+/// Adds the terms to the sums of the columns `j..` of `out`: `factor(row, k)` times `right(k)`, which begins with
+/// those columns. One row at a time, since each has its own zeros: a stripe is so wide that its sums alone keep
+/// the machine busy.
+// A function of its own in wasm: compilers of browsers allot registers better in small functions, and sooner.
+#[cfg_attr(target_arch = "wasm32", inline(never))]
+#[cfg_attr(not(target_arch = "wasm32"), inline(always))]
+fn sparse_stripe<'a, L: Lanes, const VECTORS: usize>(
+    terms: &Terms<'_>,
+    factor: impl Fn(usize, usize) -> f32,
+    right: impl Fn(usize) -> &'a [f32],
+    out: &mut [f32],
+    j: usize,
 ) {
-    while mask != 0 {
-        let k = mask.trailing_zeros() as usize;
-        mask &= mask - 1;
-        let factor = L::splat(left.0[k * left.1]);
-        let line = &b[k * cols..k * cols + VECTORS * lanes::<L>()];
-        for (v, sum) in sums.iter_mut().enumerate() {
-            *sum = L::add_product(*sum, factor, L::load(&line[v * lanes::<L>()..]));
+    for (r, mask) in terms.masks.iter().enumerate() {
+        let at = (terms.row + r) * terms.right.cols + j;
+        let line = &mut out[at..at + VECTORS * lanes::<L>()];
+        let mut sums = match terms.begin {
+            Some(bias) => start::<L, VECTORS>(bias, j),
+            None => load::<L, VECTORS>(line),
+        };
+        let mut mask = *mask;
+        while mask != 0 {
+            let k = mask.trailing_zeros() as usize;
+            mask &= mask - 1;
+            let factor = L::splat(factor(r, k));
+            let right = &right(k)[..VECTORS * lanes::<L>()];
+            for (v, sum) in sums.iter_mut().enumerate() {
+                *sum = L::add_product(*sum, factor, L::load(&right[v * lanes::<L>()..]));
+            }
+        }
+        store::<L, VECTORS>(&sums, line);
+        if let Some(finish) = terms.finish {
+            finish.apply::<L>(line, at);
         }
     }
 }
 
-/// All rows of one stripe of columns, without the terms that are zero. One row at a time, since each has
-/// its own zeros: a stripe is so wide that its sums alone keep the machine busy.
+/// The same for as many columns as stripes of `SPARSE` vectors and of `LAST` for 32 columns take.
 #[inline(always)]
-fn sparse_stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
-    let mut masks = [0u32; MASKS];
+fn sparse_stripes<L: Lanes, const SPARSE: usize, const LAST: usize>(
+    terms: &Terms<'_>,
+    factor: impl Fn(usize, usize) -> f32 + Copy,
+    out: &mut [f32],
+) {
+    let Matrix { data, cols, .. } = terms.right;
+    let mut j = 0;
+    if cols == UNITS {
+        const { assert!(UNITS.is_multiple_of(SPARSE * lanes::<L>()), "stripes fill the row") };
+        // Where the compiler knows the distance of the rows, it need not ask for every one whether it is there.
+        let (rows, _) = data.as_chunks::<UNITS>();
+        while j + SPARSE * lanes::<L>() <= UNITS {
+            sparse_stripe::<L, SPARSE>(terms, factor, move |k| &rows[k][j..], out, j);
+            j += SPARSE * lanes::<L>();
+        }
+        return;
+    }
+    while j + SPARSE * lanes::<L>() <= cols {
+        sparse_stripe::<L, SPARSE>(terms, factor, move |k| &data[k * cols + j..], out, j);
+        j += SPARSE * lanes::<L>();
+    }
+    while j + 32 <= cols {
+        sparse_stripe::<L, LAST>(terms, factor, move |k| &data[k * cols + j..], out, j);
+        j += 32;
+    }
+}
+
+/// Sums without the terms that are zero, in all columns but the last, fewer than 32; returns how many columns
+/// have theirs.
+#[inline(always)]
+fn sparse<L: Lanes, const SPARSE: usize, const LAST: usize>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut Output<'_>,
+) -> usize {
+    let mut masks = [0; MASKS];
     for k in (0..a.cols).step_by(BLOCK) {
         let end = a.cols.min(k + BLOCK);
         for first in (0..a.rows).step_by(MASKS) {
@@ -170,19 +229,18 @@ fn sparse_stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, o
             for (mask, i) in masks.iter_mut().zip(first..last) {
                 *mask = self::mask::<L>(&a.data[i * a.cols + k..i * a.cols + end]);
             }
-            for (mask, i) in masks.iter().zip(first..last) {
-                let left = &a.data[i * a.cols + k..i * a.cols + end];
-                let at = i * b.cols + j;
-                let line = &mut out.data[at..at + VECTORS * lanes::<L>()];
-                let mut sums = if k == 0 { start::<L, VECTORS>(out.bias, j) } else { load::<L, VECTORS>(line) };
-                add_terms::<L, VECTORS>(*mask, (left, 1), &b.data[k * b.cols + j..], b.cols, &mut sums);
-                store::<L, VECTORS>(&sums, line);
-                if end == a.cols {
-                    out.finish.apply(line, at);
-                }
-            }
+            let terms = Terms {
+                masks: &masks[..last - first],
+                right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
+                begin: (k == 0).then_some(out.bias),
+                finish: (end == a.cols).then_some(out.finish),
+                row: first,
+            };
+            let (left, cols) = (&a.data[first * a.cols + k..], a.cols);
+            sparse_stripes::<L, SPARSE, LAST>(&terms, move |r, k| left[r * cols + k], out.data);
         }
     }
+    b.cols - b.cols % 32
 }
 
 /// One tile: `ROWS` rows of A times some vectors of columns of B.
@@ -197,8 +255,8 @@ fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     let k = a.cols;
     let rows: [&[f32]; ROWS] = core::array::from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
     let mut sums = [start::<L, VECTORS>(out.bias, j); ROWS];
-    for kk in 0..k {
-        let line = load::<L, VECTORS>(&b.data[kk * b.cols + j..]);
+    for (kk, right) in b.data.chunks_exact(b.cols).enumerate().take(k) {
+        let line = load::<L, VECTORS>(&right[j..j + VECTORS * lanes::<L>()]);
         for (row, sums) in rows.iter().zip(&mut sums) {
             let factor = L::splat(row[kk]);
             for (sum, right) in sums.iter_mut().zip(line) {
@@ -210,7 +268,7 @@ fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
         let at = (i + r) * b.cols + j;
         let line = &mut out.data[at..at + VECTORS * lanes::<L>()];
         store::<L, VECTORS>(sums, line);
-        out.finish.apply(line, at);
+        out.finish.apply::<L>(line, at);
     }
 }
 
@@ -246,16 +304,9 @@ pub(super) fn product_body<L: Lanes, const DENSE: usize, const SPARSE: usize, co
 ) {
     assert_eq!(a.cols, b.rows, "inner sizes of a product agree");
     let mut j = 0;
-    if factors == Factors::Sparse {
+    if factors == Factors::Sparse && b.cols >= 32 {
         debug_assert!(c.bias.is_none_or(|bias| bias.iter().all(|b| b.to_bits() != 1 << 31)), "no bias is -0");
-        while j + SPARSE * lanes::<L>() <= b.cols {
-            sparse_stripe::<L, SPARSE>(a, b, &mut c, j);
-            j += SPARSE * lanes::<L>();
-        }
-        while j + 32 <= b.cols {
-            sparse_stripe::<L, LAST>(a, b, &mut c, j);
-            j += 32;
-        }
+        j = sparse::<L, SPARSE, LAST>(a, b, &mut c);
     }
     while j + DENSE * lanes::<L>() <= b.cols {
         stripe::<L, DENSE>(a, b, &mut c, j);
@@ -290,7 +341,7 @@ fn tile_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     let mut sums = [[L::splat(0.0); VECTORS]; ROWS];
     for (left, right) in a.data.chunks_exact(a.cols).zip(b.data.chunks_exact(b.cols)) {
         let factors: &[f32; ROWS] = left[i..i + ROWS].try_into().expect("a full tile");
-        let line = load::<L, VECTORS>(&right[j..]);
+        let line = load::<L, VECTORS>(&right[j..j + VECTORS * lanes::<L>()]);
         for (factor, sums) in factors.iter().zip(&mut sums) {
             let factor = L::splat(*factor);
             for (sum, right) in sums.iter_mut().zip(line) {
@@ -322,29 +373,42 @@ fn stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_
     }
 }
 
-/// All columns of A against one stripe of columns of B, without the terms that are zero.
+/// As [`sparse`], with the columns of A for its rows.
 #[inline(always)]
-fn sparse_stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], j: usize) {
+fn sparse_transposed<L: Lanes, const SPARSE: usize, const LAST: usize>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut [f32],
+) -> usize {
     for k in (0..a.rows).step_by(BLOCK) {
         let end = a.rows.min(k + BLOCK);
         for first in (0..a.cols).step_by(MASKS) {
             let last = a.cols.min(first + MASKS);
-            let mut masks = [0u32; MASKS];
-            for (l, left) in a.data[k * a.cols..end * a.cols].chunks_exact(a.cols).enumerate() {
-                for (mask, x) in masks.iter_mut().zip(&left[first..last]) {
-                    *mask |= u32::from(*x != 0.0) << l;
+            let mut masks = [0; MASKS];
+            // In halves: twice as many fit in a vector.
+            for (half, rows) in a.data[k * a.cols..end * a.cols].chunks(BLOCK / 2 * a.cols).enumerate() {
+                let mut halves = [0u32; MASKS];
+                for (l, left) in rows.chunks_exact(a.cols).enumerate() {
+                    for (mask, x) in halves.iter_mut().zip(&left[first..last]) {
+                        *mask |= u32::from(*x != 0.0) << l;
+                    }
+                }
+                for (mask, part) in masks.iter_mut().zip(halves) {
+                    *mask |= u64::from(part) << (BLOCK / 2 * half);
                 }
             }
-            for (mask, i) in masks.iter().zip(first..last) {
-                let left = &a.data[k * a.cols + i..];
-                let at = i * b.cols + j;
-                let line = &mut out[at..at + VECTORS * lanes::<L>()];
-                let mut sums = if k == 0 { [L::splat(0.0); VECTORS] } else { load::<L, VECTORS>(line) };
-                add_terms::<L, VECTORS>(*mask, (left, a.cols), &b.data[k * b.cols + j..], b.cols, &mut sums);
-                store::<L, VECTORS>(&sums, line);
-            }
+            let terms = Terms {
+                masks: &masks[..last - first],
+                right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
+                begin: (k == 0).then_some(None),
+                finish: None,
+                row: first,
+            };
+            let (left, cols) = (&a.data[k * a.cols + first..], a.cols);
+            sparse_stripes::<L, SPARSE, LAST>(&terms, move |r, k| left[k * cols + r], out);
         }
     }
+    b.cols - b.cols % 32
 }
 
 /// `C = Aᵀ·B` with A `[k, m]`, B `[k, n]`, C `[m, n]`: the gradient of a weight matrix. Stripes as in
@@ -358,15 +422,8 @@ pub(super) fn product_transposed_body<L: Lanes, const DENSE: usize, const SPARSE
 ) {
     assert_eq!(a.rows, b.rows, "inner sizes of a product agree");
     let mut j = 0;
-    if factors == Factors::Sparse {
-        while j + SPARSE * lanes::<L>() <= b.cols {
-            sparse_stripe_transposed::<L, SPARSE>(a, b, out, j);
-            j += SPARSE * lanes::<L>();
-        }
-        while j + 32 <= b.cols {
-            sparse_stripe_transposed::<L, LAST>(a, b, out, j);
-            j += 32;
-        }
+    if factors == Factors::Sparse && b.cols >= 32 {
+        j = sparse_transposed::<L, SPARSE, LAST>(a, b, out);
     }
     while j + DENSE * lanes::<L>() <= b.cols {
         stripe_transposed::<L, DENSE>(a, b, out, j);
@@ -387,31 +444,46 @@ pub(super) fn product_transposed_body<L: Lanes, const DENSE: usize, const SPARSE
 }
 
 #[inline(always)]
-fn sum_block<const COLS: usize>(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32], j: usize) {
-    let mut sum: [f32; COLS] = bias[j..j + COLS].try_into().expect("a full block");
+fn sum_block<L: Lanes, const VECTORS: usize>(
+    rows: Matrix<'_>,
+    indices: &[u32],
+    bias: &[f32],
+    out: &mut [f32],
+    j: usize,
+) {
+    let mut sums = load::<L, VECTORS>(&bias[j..]);
     for &index in indices {
         let at = index as usize * rows.cols + j;
-        let row: &[f32; COLS] = rows.data[at..at + COLS].try_into().expect("a full block");
-        for l in 0..COLS {
-            sum[l] += row[l];
+        let row = &rows.data[at..at + VECTORS * lanes::<L>()];
+        for (v, sum) in sums.iter_mut().enumerate() {
+            *sum = L::add(*sum, L::load(&row[v * lanes::<L>()..]));
         }
     }
-    for l in 0..COLS {
-        out[j + l] = if sum[l] < 0.0 { 0.0 } else { sum[l] };
-    }
+    let line = &mut out[j..j + VECTORS * lanes::<L>()];
+    store::<L, VECTORS>(&sums, line);
+    L::relu(line);
 }
 
 /// `out = relu(bias + Σ rows[index])`: the first layer on an input of zeros and ones, whose ones stand
 /// at `indices` (ascending). The same bits as the product with the input written out.
 #[inline(always)]
-pub(super) fn sum_rows_body<const WIDE: usize>(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32]) {
+pub(super) fn sum_rows_body<L: Lanes, const VECTORS: usize>(
+    rows: Matrix<'_>,
+    indices: &[u32],
+    bias: &[f32],
+    out: &mut [f32],
+) {
     let mut j = 0;
-    while j + WIDE <= rows.cols {
-        sum_block::<WIDE>(rows, indices, bias, out, j);
-        j += WIDE;
+    while j + VECTORS * lanes::<L>() <= rows.cols {
+        sum_block::<L, VECTORS>(rows, indices, bias, out, j);
+        j += VECTORS * lanes::<L>();
+    }
+    while j + lanes::<L>() <= rows.cols {
+        sum_block::<L, 1>(rows, indices, bias, out, j);
+        j += lanes::<L>();
     }
     while j < rows.cols {
-        sum_block::<1>(rows, indices, bias, out, j);
+        sum_block::<One, 1>(rows, indices, bias, out, j);
         j += 1;
     }
 }

@@ -106,10 +106,26 @@ pub(super) trait Lanes {
     fn load(from: &[f32]) -> Self::Vector;
     /// Writes to the first numbers of `to`.
     fn store(x: Self::Vector, to: &mut [f32]);
+    /// Elementwise sum.
+    fn add(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `sum + a · b`, both rounded.
     fn add_product(sum: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// Elementwise square root.
-    fn sqrt(x: [f32; 16]) -> [f32; 16];
+    fn sqrt(x: Self::Vector) -> Self::Vector;
+    /// Zero in place of what is below zero; what is not a number stays one.
+    #[inline(always)]
+    fn relu(sums: &mut [f32]) {
+        for sum in sums {
+            *sum = if *sum < 0.0 { 0.0 } else { *sum };
+        }
+    }
+    /// Zero where `active` is not above zero.
+    #[inline(always)]
+    fn keep(sums: &mut [f32], active: &[f32]) {
+        for (sum, active) in sums.iter_mut().zip(active) {
+            *sum = if *active > 0.0 { *sum } else { 0.0 };
+        }
+    }
     /// Bit `l` is set where number `l` is not zero; what is not a number is not zero.
     fn nonzero(x: &[f32; 16]) -> u32;
 }
@@ -118,11 +134,13 @@ pub(super) trait Lanes {
 pub(super) struct Baseline;
 
 #[cfg(target_arch = "aarch64")]
-use core::arch::aarch64::{float32x4_t as Four, vaddq_f32, vmulq_f32};
+use core::arch::aarch64::{float32x4_t as Four, vaddq_f32, vmulq_f32, vsqrtq_f32};
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-use core::arch::wasm32::{f32x4_add, f32x4_mul, v128 as Four};
+use core::arch::wasm32::{
+    f32x4_add, f32x4_gt, f32x4_lt, f32x4_mul, f32x4_splat, f32x4_sqrt, v128 as Four, v128_and, v128_andnot,
+};
 #[cfg(target_arch = "x86_64")]
-use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_mul_ps};
+use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_mul_ps, _mm_sqrt_ps};
 #[cfg(target_arch = "x86_64")]
 use core::arch::x86_64::{
     __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps,
@@ -161,6 +179,32 @@ impl Lanes for Baseline {
     }
 
     #[inline(always)]
+    fn add(a: Four, b: Four) -> Four {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: SSE is part of x86-64.
+        unsafe {
+            _mm_add_ps(a, b)
+        }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        {
+            f32x4_add(a, b)
+        }
+        #[cfg(target_arch = "aarch64")]
+        // SAFETY: NEON is part of AArch64.
+        unsafe {
+            vaddq_f32(a, b)
+        }
+        #[cfg(not(any(
+            target_arch = "x86_64",
+            target_arch = "aarch64",
+            all(target_arch = "wasm32", target_feature = "simd128")
+        )))]
+        {
+            core::array::from_fn(|l| a[l] + b[l])
+        }
+    }
+
+    #[inline(always)]
     fn add_product(sum: Four, a: Four, b: Four) -> Four {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: SSE is part of x86-64.
@@ -187,33 +231,20 @@ impl Lanes for Baseline {
     }
 
     #[inline(always)]
-    fn sqrt(x: [f32; 16]) -> [f32; 16] {
+    fn sqrt(x: Four) -> Four {
         #[cfg(target_arch = "x86_64")]
-        {
-            use core::arch::x86_64::{__m128, _mm_sqrt_ps};
-            // SAFETY: both types are 64 bytes of plain numbers; SSE is part of x86-64.
-            unsafe {
-                let parts: [__m128; 4] = core::mem::transmute(x);
-                core::mem::transmute(parts.map(|part| _mm_sqrt_ps(part)))
-            }
+        // SAFETY: SSE is part of x86-64.
+        unsafe {
+            _mm_sqrt_ps(x)
         }
         #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
         {
-            use core::arch::wasm32::{f32x4_sqrt, v128};
-            // SAFETY: both types are 64 bytes of plain numbers; the whole module needs SIMD128.
-            unsafe {
-                let parts: [v128; 4] = core::mem::transmute(x);
-                core::mem::transmute(parts.map(|part| f32x4_sqrt(part)))
-            }
+            f32x4_sqrt(x)
         }
         #[cfg(target_arch = "aarch64")]
-        {
-            use core::arch::aarch64::{float32x4_t, vsqrtq_f32};
-            // SAFETY: both types are 64 bytes of plain numbers; NEON is part of AArch64.
-            unsafe {
-                let parts: [float32x4_t; 4] = core::mem::transmute(x);
-                core::mem::transmute(parts.map(|part| vsqrtq_f32(part)))
-            }
+        // SAFETY: NEON is part of AArch64.
+        unsafe {
+            vsqrtq_f32(x)
         }
         #[cfg(not(any(
             target_arch = "x86_64",
@@ -223,6 +254,29 @@ impl Lanes for Baseline {
         {
             x.map(libm::sqrtf)
         }
+    }
+
+    // For wasm these plain loops become branches, which half of the sums take.
+    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+    #[inline(always)]
+    fn relu(sums: &mut [f32]) {
+        let (whole, rest) = sums.as_chunks_mut::<4>();
+        for lanes in whole {
+            let x = Self::load(lanes);
+            Self::store(v128_andnot(x, f32x4_lt(x, f32x4_splat(0.0))), lanes);
+        }
+        One::relu(rest);
+    }
+
+    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+    #[inline(always)]
+    fn keep(sums: &mut [f32], active: &[f32]) {
+        let ((whole, rest), (active, last)) = (sums.as_chunks_mut::<4>(), active.as_chunks::<4>());
+        for (lanes, active) in whole.iter_mut().zip(active) {
+            let positive = f32x4_gt(Self::load(active), f32x4_splat(0.0));
+            Self::store(v128_and(Self::load(lanes), positive), lanes);
+        }
+        One::keep(rest, last);
     }
 
     #[inline(always)]
@@ -239,7 +293,7 @@ impl Lanes for Baseline {
         }
         #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
         {
-            use core::arch::wasm32::{f32x4_ne, f32x4_splat, i32x4_bitmask, v128};
+            use core::arch::wasm32::{f32x4_ne, i32x4_bitmask, v128};
             // SAFETY: both types are 64 bytes of plain numbers; the whole module needs SIMD128.
             let parts: [v128; 4] = unsafe { core::mem::transmute(*x) };
             let masks = parts.map(|part| u32::from(i32x4_bitmask(f32x4_ne(part, f32x4_splat(0.0)))));
@@ -274,13 +328,18 @@ impl Lanes for One {
     }
 
     #[inline(always)]
+    fn add(a: f32, b: f32) -> f32 {
+        a + b
+    }
+
+    #[inline(always)]
     fn add_product(sum: f32, a: f32, b: f32) -> f32 {
         sum + a * b
     }
 
     #[inline(always)]
-    fn sqrt(x: [f32; 16]) -> [f32; 16] {
-        Baseline::sqrt(x)
+    fn sqrt(x: f32) -> f32 {
+        libm::sqrtf(x)
     }
 
     #[inline(always)]
@@ -317,16 +376,18 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
+    fn add(a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_add_ps(a, b) }
+    }
+
+    #[inline(always)]
     fn add_product(sum: __m256, a: __m256, b: __m256) -> __m256 {
         unsafe { _mm256_add_ps(sum, _mm256_mul_ps(a, b)) }
     }
 
     #[inline(always)]
-    fn sqrt(x: [f32; 16]) -> [f32; 16] {
-        unsafe {
-            let parts: [__m256; 2] = core::mem::transmute(x);
-            core::mem::transmute([_mm256_sqrt_ps(parts[0]), _mm256_sqrt_ps(parts[1])])
-        }
+    fn sqrt(x: __m256) -> __m256 {
+        unsafe { _mm256_sqrt_ps(x) }
     }
 
     #[inline(always)]
@@ -368,15 +429,18 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
+    fn add(a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_add_ps(a, b) }
+    }
+
+    #[inline(always)]
     fn add_product(sum: __m512, a: __m512, b: __m512) -> __m512 {
         unsafe { _mm512_add_ps(sum, _mm512_mul_ps(a, b)) }
     }
 
     #[inline(always)]
-    fn sqrt(x: [f32; 16]) -> [f32; 16] {
-        unsafe {
-            core::mem::transmute::<__m512, [f32; 16]>(_mm512_sqrt_ps(core::mem::transmute::<[f32; 16], __m512>(x)))
-        }
+    fn sqrt(x: __m512) -> __m512 {
+        unsafe { _mm512_sqrt_ps(x) }
     }
 
     #[inline(always)]
@@ -393,7 +457,9 @@ macro_rules! kernel {
     ($(#[$doc:meta])* $name:ident($($arg:ident: $type:ty),* $(,)?),
      baseline: $baseline:expr, avx2: $avx2:expr, avx512: $avx512:expr) => {
         $(#[$doc])*
-        #[inline]
+        // In wasm a function of its own: compilers of browsers allot registers better in small functions.
+        #[cfg_attr(target_arch = "wasm32", inline(never))]
+        #[cfg_attr(not(target_arch = "wasm32"), inline)]
         pub fn $name(isa: Isa, $($arg: $type),*) {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2")]
@@ -432,7 +498,8 @@ kernel!(
 kernel!(
     /// `out = bias + Σ rows[index]`, see [`gemm`].
     sum_rows(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32]),
-    baseline: gemm::sum_rows_body::<16>, avx2: gemm::sum_rows_body::<64>, avx512: gemm::sum_rows_body::<128>
+    baseline: gemm::sum_rows_body::<Baseline, 8>, avx2: gemm::sum_rows_body::<Avx2, 8>,
+    avx512: gemm::sum_rows_body::<Avx512, 8>
 );
 kernel!(
     /// `out = Σ rows`, see [`gemm`].
@@ -447,7 +514,8 @@ kernel!(
 kernel!(
     /// One step of the optimiser over a range of parameters, see [`optim`].
     optimise(constants: &Constants, state: State<'_>),
-    baseline: optim::step_body::<Baseline>, avx2: optim::step_body::<Avx2>, avx512: optim::step_body::<Avx512>
+    baseline: optim::step_body::<Baseline, 4>, avx2: optim::step_body::<Avx2, 16>,
+    avx512: optim::step_body::<Avx512, 16>
 );
 
 kernel!(
@@ -480,7 +548,11 @@ mod tests {
 
     #[test]
     fn square_roots_are_those_of_libm() {
-        let x: [f32; 16] = core::array::from_fn(|i| 0.1 * i as f32 + 1e-3 * (i * i) as f32);
-        assert_eq!(Baseline::sqrt(x).map(f32::to_bits), x.map(|v| libm::sqrtf(v).to_bits()));
+        for i in 0..16 {
+            let x: [f32; 4] = core::array::from_fn(|l| 0.1 * i as f32 + 1e-3 * (l * l) as f32);
+            let mut roots = [0.0; 4];
+            Baseline::store(Baseline::sqrt(Baseline::load(&x)), &mut roots);
+            assert_eq!(roots.map(f32::to_bits), x.map(|v| libm::sqrtf(v).to_bits()));
+        }
     }
 }

@@ -22,6 +22,7 @@ use core::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::buffer::Buffer;
+use super::gemm::lanes;
 use super::isa::{self, Isa, Lanes};
 use crate::config::{Config, Optimizer};
 
@@ -53,6 +54,7 @@ impl AdamConfig {
 }
 
 /// What is constant over one step.
+#[derive(Clone, Copy)]
 pub struct Constants {
     keep1: f32,
     add1: f32,
@@ -254,41 +256,42 @@ fn ranges(live: &[bool], row: usize, params: usize) -> impl Iterator<Item = Rang
     runs.chain(core::iter::once(weights..params))
 }
 
-/// One step over a range, 16 elements at a time.
+/// One step over a range, `N` elements at a time.
 #[inline(always)]
-pub(super) fn step_body<L: Lanes>(c: &Constants, s: State<'_>) {
+pub(super) fn step_body<L: Lanes, const N: usize>(c: &Constants, s: State<'_>) {
     match (s.max_v.is_empty(), s.target.is_empty()) {
-        (true, true) => step_kind::<L, false, false>(c, s),
-        (true, false) => step_kind::<L, false, true>(c, s),
-        (false, true) => step_kind::<L, true, false>(c, s),
-        (false, false) => step_kind::<L, true, true>(c, s),
+        (true, true) => step_kind::<L, N, false, false>(c, s),
+        (true, false) => step_kind::<L, N, false, true>(c, s),
+        (false, true) => step_kind::<L, N, true, false>(c, s),
+        (false, false) => step_kind::<L, N, true, true>(c, s),
     }
 }
 
 #[inline(always)]
-fn step_kind<L: Lanes, const MAX: bool, const TARGET: bool>(c: &Constants, s: State<'_>) {
+fn step_kind<L: Lanes, const N: usize, const MAX: bool, const TARGET: bool>(c: &Constants, s: State<'_>) {
+    // A copy, which no store to the state can change.
+    let c = &{ *c };
     let len = s.params.len();
-    let whole = len - len % 16;
-    let mut none = [0.0f32; 16];
-    let mut none_either = [0.0f32; 16];
-    for at in (0..whole).step_by(16) {
-        let range = at..at + 16;
-        step_lanes::<L, MAX, TARGET>(
-            c,
-            (&mut s.params[range.clone()]).try_into().expect("16 lanes"),
-            s.grads[range.clone()].try_into().expect("16 lanes"),
-            (&mut s.m[range.clone()]).try_into().expect("16 lanes"),
-            (&mut s.v[range.clone()]).try_into().expect("16 lanes"),
-            if MAX { (&mut s.max_v[range.clone()]).try_into().expect("16 lanes") } else { &mut none },
-            if TARGET { (&mut s.target[range]).try_into().expect("16 lanes") } else { &mut none_either },
-        );
+    let whole = len - len % N;
+    let (mut none, mut none_either) = ([0.0f32; N], [0.0f32; N]);
+    let (p, g) = (s.params.as_chunks_mut::<N>().0, s.grads.as_chunks::<N>().0);
+    let (m, v) = (s.m.as_chunks_mut::<N>().0, s.v.as_chunks_mut::<N>().0);
+    let (w, t) = (s.max_v.as_chunks_mut::<N>().0, s.target.as_chunks_mut::<N>().0);
+    let count = p.len();
+    // Asked once, and not of every access in the loop.
+    assert!(g.len() == count && m.len() == count && v.len() == count, "all slices have one length");
+    assert!((!MAX || w.len() == count) && (!TARGET || t.len() == count), "all slices have one length");
+    for i in 0..count {
+        let w = if MAX { &mut w[i] } else { &mut none };
+        let t = if TARGET { &mut t[i] } else { &mut none_either };
+        step_lanes::<L, N, MAX, TARGET>(c, &mut p[i], &g[i], &mut m[i], &mut v[i], w, t);
     }
     if whole == len {
         return;
     }
     // The rest, padded to a full set of lanes.
-    let load = |from: &[f32]| -> [f32; 16] {
-        let mut lanes = [0.0; 16];
+    let load = |from: &[f32]| -> [f32; N] {
+        let mut lanes = [0.0; N];
         if !from.is_empty() {
             lanes[..len - whole].copy_from_slice(&from[whole..]);
         }
@@ -296,8 +299,8 @@ fn step_kind<L: Lanes, const MAX: bool, const TARGET: bool>(c: &Constants, s: St
     };
     let (mut p, g, mut m, mut v) = (load(s.params), load(s.grads), load(s.m), load(s.v));
     let (mut w, mut t) = (load(s.max_v), load(s.target));
-    step_lanes::<L, MAX, TARGET>(c, &mut p, &g, &mut m, &mut v, &mut w, &mut t);
-    let store = |to: &mut [f32], lanes: &[f32; 16]| {
+    step_lanes::<L, N, MAX, TARGET>(c, &mut p, &g, &mut m, &mut v, &mut w, &mut t);
+    let store = |to: &mut [f32], lanes: &[f32; N]| {
         if !to.is_empty() {
             to[whole..].copy_from_slice(&lanes[..len - whole]);
         }
@@ -310,17 +313,17 @@ fn step_kind<L: Lanes, const MAX: bool, const TARGET: bool>(c: &Constants, s: St
 }
 
 #[inline(always)]
-fn step_lanes<L: Lanes, const MAX: bool, const TARGET: bool>(
+fn step_lanes<L: Lanes, const N: usize, const MAX: bool, const TARGET: bool>(
     c: &Constants,
-    p: &mut [f32; 16],
-    g: &[f32; 16],
-    m: &mut [f32; 16],
-    v: &mut [f32; 16],
-    w: &mut [f32; 16],
-    t: &mut [f32; 16],
+    p: &mut [f32; N],
+    g: &[f32; N],
+    m: &mut [f32; N],
+    v: &mut [f32; N],
+    w: &mut [f32; N],
+    t: &mut [f32; N],
 ) {
     let (mut moment, mut square) = (*m, *v);
-    for l in 0..16 {
+    for l in 0..N {
         // Written as selections, so that it vectorises and a NaN gradient stays one.
         let low = if g[l] < -c.clip { -c.clip } else { g[l] };
         let gradient = if low > c.clip { c.clip } else { low };
@@ -331,13 +334,16 @@ fn step_lanes<L: Lanes, const MAX: bool, const TARGET: bool>(
     }
     let mut under = square;
     if MAX {
-        for l in 0..16 {
+        for l in 0..N {
             w[l] = if square[l] > w[l] { square[l] } else { w[l] };
         }
         under = *w;
     }
-    let root = L::sqrt(under);
-    for l in 0..16 {
+    let mut root = [0.0; N];
+    for l in (0..N).step_by(lanes::<L>()) {
+        L::store(L::sqrt(L::load(&under[l..])), &mut root[l..]);
+    }
+    for l in 0..N {
         let denominator = root[l] * c.root + EPSILON;
         let value = p[l] * c.shrink - c.rate * moment[l] / denominator;
         p[l] = value;
