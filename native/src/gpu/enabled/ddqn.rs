@@ -9,12 +9,12 @@ use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::config::{Config, Forced as ForcedKind};
 use mcvl_core::forecast::ForecastJob;
 use mcvl_core::nn::optim::{BETA1, BETA2, EPSILON};
-use mcvl_core::replay::{Forced, NO_ROW, draw_slots};
-use mcvl_core::rng::{Purpose, Rng};
+use mcvl_core::replay::{Forced, NO_ROW};
 use wgpu::{Buffer, CommandEncoder, ComputePipeline};
 
 use super::super::GpuError;
 use super::device::Device;
+use super::transfer::{Parts, Returns, draws, record};
 use super::worker::Training;
 
 /// Samples of a mini-batch at most, forced ones included; `SAMPLES` of the kernel.
@@ -27,28 +27,6 @@ const TAIL: u32 = 11;
 
 /// The kernel.
 pub const SOURCE: &str = include_str!("ddqn.wgsl");
-
-/// A struct of four-byte numbers that a kernel reads.
-macro_rules! record {
-    ($(#[$about:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
-        $(#[$about])*
-        #[repr(C)]
-        #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-        pub struct $name {
-            $($field: $kind),*
-        }
-
-        impl $name {
-            /// Names and offsets of the fields.
-            #[cfg(test)]
-            pub fn layout() -> Vec<(String, u32)> {
-                vec![$((stringify!($field).to_owned(), std::mem::offset_of!($name, $field) as u32)),*]
-            }
-        }
-    };
-}
-
-pub(super) use record;
 
 record! {
     /// `Job` of the kernel.
@@ -184,13 +162,7 @@ pub fn pack<E>(jobs: &[ForecastJob<'_, E, Ddqn>]) -> Vec<Packed> {
     table.extend(columns.next.iter().zip(columns.terminated).map(|(&next, &over)| if over { NO_ROW } else { next }));
     table.extend(columns.action.iter().map(|action| u32::from(action.0)));
     table.extend(columns.reward.iter().map(|reward| reward.to_bits()));
-    let updates = jobs.iter().map(ForecastJob::value_updates).max().unwrap_or(0);
-    let mut draws = Vec::with_capacity((updates * first.batch) as usize);
-    let (mut stream, mut drawn) = (Rng::stream(first.seed, Purpose::ForecastBatch, first.version), Vec::new());
-    for _ in 0..updates {
-        draw_slots(slots, first.batch, &mut stream, &mut drawn);
-        draws.extend_from_slice(&drawn);
-    }
+    let draws = draws(jobs);
     let common = Arc::new(Common { inputs, columns: table, slots, rows, ones, draws });
     jobs.iter().zip(extras).map(|(job, extra)| Packed::new(job, common.clone(), extra)).collect()
 }
@@ -350,11 +322,9 @@ impl Kernel {
 pub struct Batch {
     pipeline: ComputePipeline,
     bindings: wgpu::BindGroup,
-    memory: Buffer,
-    failures: Buffer,
     span: Buffer,
-    /// Per job: where its parameters, target and moments lie, and how many numbers they are.
-    places: Vec<(u32, u32)>,
+    /// Parameters, target and moments of each job.
+    returns: Returns,
     updates: u32,
     /// Turns of loops in one update of the longest job.
     loops: u32,
@@ -363,15 +333,15 @@ pub struct Batch {
 impl Batch {
     /// Brings jobs to the device.
     pub fn new(device: &Device, kernel: &Kernel, packed: &[Arc<Packed>]) -> Self {
-        let (mut jobs, mut memory, mut data) = (Vec::new(), 0u32, Vec::new());
+        let (mut jobs, mut memory, mut data) = (Vec::new(), 0u32, Parts::default());
         let mut placed: BTreeMap<*const Common, [u32; 4]> = BTreeMap::new();
         let mut places = Vec::new();
         for job in packed {
             let common = &job.common;
             let [columns, rows, ones, draws] = *placed.entry(Arc::as_ptr(common)).or_insert_with(|| {
-                [&common.columns, &common.rows, &common.ones, &common.draws].map(|part| append(&mut data, part))
+                [&common.columns, &common.rows, &common.ones, &common.draws].map(|part| data.add(part))
             });
-            let (extra, corrections) = (append(&mut data, &job.extra), append(&mut data, &job.corrections));
+            let (extra, corrections) = (data.add(&job.extra), data.add(&job.corrections));
             let base = job.job;
             jobs.push(Job {
                 online: memory + base.online,
@@ -396,21 +366,22 @@ impl Batch {
             device.write(&buffer, 4 * u64::from(*at), bytemuck::cast_slice(&job.memory));
         }
         let described = device.buffer("ddqn jobs", 0, bytemuck::cast_slice(&jobs));
-        let data = device.buffer("ddqn data", 0, bytemuck::cast_slice(&data));
+        let data = data.bring(device, "ddqn data");
         let failures = device.buffer("ddqn failures", 4 * jobs.len() as u64, &[]);
         let span = device.uniform("ddqn span", 8);
         let layout = kernel.0.get_bind_group_layout(0);
         let bindings = device.bind("ddqn", &layout, &[&described, &data, &buffer, &failures, &span]);
         let updates = packed.iter().map(|job| job.job.updates).max().unwrap_or(0);
         let loops = packed.iter().map(|job| job.loops()).max().unwrap_or(1);
-        Self { pipeline: kernel.0.clone(), bindings, memory: buffer, failures, span, places, updates, loops }
+        Self {
+            pipeline: kernel.0.clone(),
+            bindings,
+            span,
+            returns: Returns::new(buffer, failures, places),
+            updates,
+            loops,
+        }
     }
-}
-
-fn append(data: &mut Vec<u32>, part: &[u32]) -> u32 {
-    let at = data.len() as u32;
-    data.extend_from_slice(part);
-    at
 }
 
 impl Training for Batch {
@@ -428,22 +399,10 @@ impl Training for Batch {
             commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("ddqn"), timestamp_writes: None });
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
-        pass.dispatch_workgroups(self.places.len() as u32, 1, 1);
+        pass.dispatch_workgroups(self.returns.jobs(), 1, 1);
     }
 
     fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
-        let failures = device.read(&self.failures, &[(0, 4 * self.places.len() as u64)])?;
-        let ranges: Vec<_> = self.places.iter().map(|&(at, len)| (4 * u64::from(at), 4 * u64::from(len))).collect();
-        let values = device.read(&self.memory, &ranges)?;
-        let values: Vec<f32> = bytemuck::pod_collect_to_vec(&values);
-        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&failures);
-        let mut rest = &values[..];
-        let mut results = Vec::new();
-        for (&(_, len), &failure) in self.places.iter().zip(&failures) {
-            let (own, others) = rest.split_at(len as usize);
-            rest = others;
-            results.push(if failure == 0 { Ok(own.to_vec()) } else { Err(failure) });
-        }
-        Ok(results)
+        self.returns.read(device)
     }
 }

@@ -7,6 +7,7 @@ mod probe;
 mod td3;
 #[cfg(test)]
 mod tests;
+mod transfer;
 mod worker;
 
 use std::sync::Arc;

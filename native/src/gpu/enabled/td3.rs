@@ -14,13 +14,13 @@ use mcvl_core::config::Config;
 use mcvl_core::env::Continuous;
 use mcvl_core::forecast::ForecastJob;
 use mcvl_core::nn::optim::{BETA1, BETA2, EPSILON};
-use mcvl_core::replay::{Forced, NO_ROW, ReplayBuffer, draw_slots};
+use mcvl_core::replay::{Forced, NO_ROW, ReplayBuffer};
 use mcvl_core::rng::{Purpose, Rng};
-use wgpu::{Buffer, CommandEncoder, ComputePipeline};
+use wgpu::{CommandEncoder, ComputePipeline};
 
 use super::super::GpuError;
-use super::ddqn::record;
 use super::device::{Binding, DYNAMIC_STEP, Device};
+use super::transfer::{Parts, Returns, draws, record};
 use super::worker::Training;
 
 /// The kernels.
@@ -292,13 +292,7 @@ pub fn pack<E, const N: usize>(jobs: &[ForecastJob<'_, E, Td3<N>>]) -> Vec<Packe
     let next = columns.next.iter().zip(columns.terminated).map(|(&next, &over)| if over { NO_ROW } else { next });
     let columns =
         table(columns.state.iter().copied(), next, columns.reward.iter().copied(), columns.action.iter().copied());
-    let updates = jobs.iter().map(ForecastJob::value_updates).max().unwrap_or(0);
-    let mut draws = Vec::with_capacity(updates as usize * first.batch as usize);
-    let (mut stream, mut drawn) = (Rng::stream(first.seed, Purpose::ForecastBatch, first.version), Vec::new());
-    for _ in 0..updates {
-        draw_slots(slots, first.batch, &mut stream, &mut drawn);
-        draws.extend_from_slice(&drawn);
-    }
+    let draws = draws(jobs);
     let common = Arc::new(Common { observations, columns, slots, draws });
     jobs.iter().zip(extras).map(|(job, extra)| Packed::new(job, common.clone(), extra)).collect()
 }
@@ -639,32 +633,6 @@ struct Data {
     corrections: [u32; 3],
 }
 
-/// Parts of a buffer, one behind the other: together they are too large for a further copy here.
-#[derive(Debug, Default)]
-struct Parts<'a> {
-    parts: Vec<&'a [u32]>,
-    end: u32,
-}
-
-impl<'a> Parts<'a> {
-    /// Where the part will begin.
-    fn add(&mut self, part: &'a [u32]) -> u32 {
-        self.parts.push(part);
-        self.end += part.len() as u32;
-        self.end - part.len() as u32
-    }
-
-    fn bring(self, device: &Device, label: &str) -> Buffer {
-        let buffer = device.buffer(label, 4 * u64::from(self.end), &[]);
-        let mut at = 0;
-        for part in self.parts {
-            device.write(&buffer, at, bytemuck::cast_slice(part));
-            at += 4 * part.len() as u64;
-        }
-        buffer
-    }
-}
-
 /// The kernels on a device.
 #[derive(Debug)]
 pub struct Kernel {
@@ -689,10 +657,7 @@ pub struct Batch {
     pipelines: [ComputePipeline; 6],
     buffers: wgpu::BindGroup,
     numbers: wgpu::BindGroup,
-    memory: Buffer,
-    failures: Buffer,
-    /// Per job: where its numbers lie and how many they are.
-    places: Vec<(u32, u32)>,
+    returns: Returns,
     /// Which updates move an actor.
     delays: Vec<u32>,
     /// Workgroups of each entry point along the first two axes.
@@ -745,9 +710,7 @@ impl Batch {
             pipelines: kernel.pipelines.clone(),
             buffers: device.bind("td3", &kernel.buffers, &[&described, &data, &buffer, &failures]),
             numbers: device.bind_records("td3 numbers", &kernel.numbers, &[&operations, &numbers]),
-            memory: buffer,
-            failures,
-            places,
+            returns: Returns::new(buffer, failures, places),
             delays: packed.iter().map(|job| job.job.policy_delay).collect(),
             groups,
             updates,
@@ -779,25 +742,13 @@ impl Training for Batch {
                 let [x, y] = self.groups[entry];
                 pass.set_pipeline(&self.pipelines[entry]);
                 pass.set_bind_group(1, &self.numbers, &[number * DYNAMIC_STEP, update * DYNAMIC_STEP]);
-                pass.dispatch_workgroups(x, y, self.places.len() as u32 * dispatch.operation.parts);
+                pass.dispatch_workgroups(x, y, self.returns.jobs() * dispatch.operation.parts);
             }
         }
     }
 
     fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
-        let failures = device.read(&self.failures, &[(0, 4 * self.places.len() as u64)])?;
-        let ranges: Vec<_> = self.places.iter().map(|&(at, len)| (4 * u64::from(at), 4 * u64::from(len))).collect();
-        let values = device.read(&self.memory, &ranges)?;
-        let values: Vec<f32> = bytemuck::pod_collect_to_vec(&values);
-        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&failures);
-        let mut rest = &values[..];
-        let mut results = Vec::new();
-        for (&(_, len), &failure) in self.places.iter().zip(&failures) {
-            let (own, others) = rest.split_at(len as usize);
-            rest = others;
-            results.push(if failure == 0 { Ok(own.to_vec()) } else { Err(failure) });
-        }
-        Ok(results)
+        self.returns.read(device)
     }
 }
 

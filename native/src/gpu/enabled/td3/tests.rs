@@ -15,7 +15,7 @@ use mcvl_core::nn::mlp::Scratch;
 use mcvl_core::nn::optim::{Adam, AdamConfig};
 use mcvl_core::nn::rows::Rows;
 use mcvl_core::record::Event;
-use mcvl_core::replay::{Minibatch, Transition};
+use mcvl_core::replay::{Minibatch, Transition, draw_slots};
 use mcvl_core::run::{Budget, Run, Status};
 
 use super::super::forecaster::{GpuForecaster, OnDevice};
