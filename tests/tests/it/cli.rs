@@ -516,7 +516,9 @@ fn a_reader_that_leaves_is_no_failure() {
             command.args(arguments.split(' ')).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());
         let answer = Answer::from(child.wait_with_output().unwrap());
-        assert_eq!((answer.code, answer.stderr.as_str()), (0, ""), "{arguments}");
+        // Where there is no display, Mesa's drivers say so on their own.
+        let said: Vec<&str> = answer.stderr.lines().filter(|line| !line.contains("XDG_RUNTIME_DIR")).collect();
+        assert_eq!((answer.code, &said[..]), (0, &[][..]), "{arguments}");
     }
 }
 
