@@ -155,7 +155,7 @@ pub fn train(
                         continue;
                     };
                     let result = match step(job, remote, control, &mut &views[index]) {
-                        Ok(Err(open)) => {
+                        Ok(Left::Waiting(open)) => {
                             lock(queue).push_back(Entry { index, job: Stage::Open(open) });
                             waiting += 1;
                             if waiting > others
@@ -166,7 +166,7 @@ pub fn train(
                             }
                             continue;
                         }
-                        Ok(Ok(ending)) => Ok(ending),
+                        Ok(Left::Ended(ending)) => Ok(ending),
                         Err(error) => Err(error),
                     };
                     waiting = 0;
@@ -193,21 +193,22 @@ pub fn train(
     seeds.into_iter().zip(results).map(|(seed, slot)| Outcome { seed, result: result(slot) }).collect()
 }
 
-/// Works on a job until it ends (its ending) or has to wait (the job).
-fn step(
-    job: Stage,
-    remote: Option<&Remote>,
-    control: &Control,
-    watcher: &mut dyn Watcher,
-) -> Result<Result<Ending, Box<OpenJob>>, RunsError> {
+/// What became of a job that was worked on.
+enum Left {
+    Waiting(Box<OpenJob>),
+    Ended(Ending),
+}
+
+/// Works on a job until it ends or has to wait.
+fn step(job: Stage, remote: Option<&Remote>, control: &Control, watcher: &mut dyn Watcher) -> Result<Left, RunsError> {
     let mut open = match job {
-        Stage::Ready(job) if job.is_finished() || control.stopped() => return Ok(Ok(job.untouched())),
+        Stage::Ready(job) if job.is_finished() || control.stopped() => return Ok(Left::Ended(job.untouched())),
         Stage::Ready(job) => Box::new((*job).open(remote.cloned())?),
         Stage::Open(open) => open,
     };
     Ok(match open.work(control, watcher)? {
-        Pause::Waiting => Err(open),
-        Pause::Ended(ending) => Ok(ending),
+        Pause::Waiting => Left::Waiting(open),
+        Pause::Ended(ending) => Left::Ended(ending),
     })
 }
 
