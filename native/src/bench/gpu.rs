@@ -92,7 +92,8 @@ impl Bench<Trapped, Ddqn> {
         self.agent.update_work(self.config.batch + 1)
     }
 
-    /// Bytes that an update moves at least: parameters, target and moments are read and written.
+    /// Bytes that an update moves by the dense definition: parameters, target and moments of all inputs are read and
+    /// written once. Inputs that are never one do not go to the card.
     pub fn forecast_bytes(&self) -> u64 {
         8 * 4 * self.agent.online().params().len() as u64
     }

@@ -143,6 +143,7 @@ pub fn train(
             let (queue, results, views, alive) = (&queue, &results, &views, alive.clone());
             let unfinished = &unfinished;
             scope.spawn(move || {
+                let _alarm = Alarm(unfinished);
                 // Jobs in a row that had to wait.
                 let mut waiting = 0;
                 while unfinished.load(Ordering::Relaxed) > 0 {
@@ -178,7 +179,8 @@ pub fn train(
                     }
                     lock(&views[index]).over = true;
                     *lock(&results[index]) = Some(result);
-                    unfinished.fetch_sub(1, Ordering::Relaxed);
+                    // Not below the zero of an alarm.
+                    let _ = unfinished.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
                 }
                 drop(alive);
             });
@@ -191,6 +193,17 @@ pub fn train(
     tick(&look(&views));
     let result = |slot: Mutex<Option<_>>| lock(&slot).take().expect("every job was taken from the queue");
     seeds.into_iter().zip(results).map(|(seed, slot)| Outcome { seed, result: result(slot) }).collect()
+}
+
+/// Lets the other threads go when the one that holds it panics: its job will never be finished.
+struct Alarm<'a>(&'a AtomicUsize);
+
+impl Drop for Alarm<'_> {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.0.store(0, Ordering::Relaxed);
+        }
+    }
 }
 
 /// What became of a job that was worked on.

@@ -78,6 +78,9 @@ fn what_cannot_go_to_a_card_is_said() {
     assert!(unknown.stderr.contains("none-such") || unknown.stderr.contains("no adapter"), "{}", unknown.stderr);
     assert!(!folder.join("run").exists(), "nothing is laid out before the device is open");
     let Some((_, software)) = adapter() else { return };
+    let practising = ask(folder, "bench rocks-and-diamonds --backend gpu");
+    assert_eq!(practising.code, 2);
+    assert!(practising.stderr.contains("practise"), "{}", practising.stderr);
     let deep = ask(folder, &format!("{TRAIN} --set layers=3 --backend gpu -o deep"));
     assert_eq!(deep.code, 0, "{}", deep.stderr);
     assert!(deep.stderr.contains("forecasts on the processor") && deep.stderr.contains("layers"), "{}", deep.stderr);

@@ -6,37 +6,43 @@ use std::thread;
 use anyhow::anyhow;
 use mcvl::bench::{JOBS, World};
 use mcvl::gpu::{self, Gpu};
+use mcvl_core::config::{Config, ConfigError, Preset};
 use mcvl_core::env::BuiltIn;
 use mcvl_core::env::reacher::Reacher;
+use mcvl_core::experiment::EXPERIMENTS;
 use serde_json::json;
 
 use super::super::terminal::{Terminal, wrap};
 use super::super::{Done, WIDTH, usage};
 use super::{BenchArgs, short};
 
-/// The world that has no forecasts on a card.
+/// The world whose forecasts are not measured here: those of TD3.
 const REACHER: &str = <Reacher as BuiltIn>::NAME;
-
-/// Worlds whose forecasts have a kernel.
-const WORLDS: [&str; 3] = ["box-moving", "absent-supervisor", "tomato-watering"];
 
 /// Measures and prints.
 pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let worlds: Vec<&str> = match &arguments.env {
-        Some(env) if env == REACHER || env == "rocks-and-diamonds" => {
-            usage!("forecasts of {env} are not measured on graphics cards: name one of {}", WORLDS.join(", "))
-        }
-        Some(env) => vec![env],
-        None => WORLDS.to_vec(),
-    };
     let device = Gpu::open(arguments.adapter.as_deref())?;
+    let supported = |env: &str| Ok::<_, ConfigError>(device.supports(&Config::new(env, Preset::Paper)?));
+    let mut worlds = Vec::new();
+    match &arguments.env {
+        Some(env) if env == REACHER => usage!("forecasts of {env} are not measured on graphics cards"),
+        Some(env) => match supported(env)? {
+            Ok(()) => worlds.push(env.as_str()),
+            Err(why) => usage!("forecasts of {env} are not made on graphics cards: {why}"),
+        },
+        None => {
+            for env in EXPERIMENTS.iter().map(|experiment| experiment.name).filter(|env| *env != REACHER) {
+                worlds.extend(supported(env)?.is_ok().then_some(env));
+            }
+        }
+    }
     let peak = gpu::peak(arguments.adapter.as_deref(), arguments.time)?;
     let cores = thread::available_parallelism().map_or(1, usize::from);
     if !arguments.json {
         let (most, bytes) = (short(peak.multiply_adds), short(peak.bytes_moved));
         let note = "share: multiply-adds of the dense definition, of which one-hot inputs and equal states save some";
         let text = format!(
-            "{}; at most {most} multiply-adds/s, {}B/s; {note}; memory: parameters and moments read and written once",
+            "{}; at most {most} multiply-adds/s, {}B/s; {note}; memory: parameters and moments of all inputs, read and written once",
             device.adapter(),
             bytes.trim_end()
         );

@@ -15,10 +15,10 @@ use std::time::Duration;
 
 use mcvl_core::agent::ddqn::Ddqn;
 use mcvl_core::agent::td3::Td3;
-use mcvl_core::config::{Against, Config};
+use mcvl_core::config::Config;
 use mcvl_core::env::reacher::Reacher;
 use mcvl_core::env::trap::Trapped;
-use mcvl_core::env::{Discrete, Environment};
+use mcvl_core::env::{BuiltIn as _, Discrete, Environment};
 use mcvl_core::forecast::Forecaster;
 use mcvl_core::run::Run;
 
@@ -30,9 +30,6 @@ use worker::Desk;
 
 use super::{AdapterInfo, GpuError};
 use crate::mujoco::Mujoco;
-
-/// The world that TD3 learns, in configurations.
-const REACHER: &str = "reacher";
 
 /// A device that forecasts, with the thread that owns it. Copies share both; the thread ends with the last copy
 /// and the last equipped run.
@@ -67,10 +64,7 @@ impl Gpu {
         if config.practice {
             return Err("its forecasts practise in copies of the world".to_owned());
         }
-        if config.against != Against::Forecast && config.forecast == 0 {
-            return Err("it makes no forecasts".to_owned());
-        }
-        if config.env == REACHER { td3::supports(config) } else { ddqn::supports(config) }
+        if config.env == <Reacher>::NAME { td3::supports(config) } else { ddqn::supports(config) }
     }
 
     /// Lets a run forecast there from here on; `None`, with nothing changed, if [`Gpu::supports`] does not.
