@@ -8,12 +8,14 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::{plural, seed_list};
+use mcvl::reproduce::bands::bands;
 use mcvl::reproduce::figures::DRAWINGS;
 use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::{self, Cell, Experiment, TARGETS};
 use mcvl::reproduce::{BEGIN, END, QUICK, RECORD_SUFFIX, Record, Results, Verdict, judge, markdown, put};
 use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunSet, RunsError, State, write_atomic};
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
+use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
 use super::session::{Ended, Manner, Pace, Session, stop_on_signals};
@@ -70,6 +72,9 @@ pub struct ReproduceArgs {
     /// Also write the results into this Markdown page, between its two marks
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
+    /// Also write what the web page shows behind its curves: intervals of every scheme, as JSON
+    #[arg(long, value_name = "FILE")]
+    bands: Option<PathBuf>,
     /// Exit with 1 unless every claim holds
     #[arg(long)]
     assert_claims: bool,
@@ -423,6 +428,10 @@ impl Folder {
             write_atomic(path, text.as_bytes())?;
             written.push(path.display().to_string());
         }
+        if let Some(path) = &arguments.bands {
+            write_atomic(path, bands(records).as_bytes())?;
+            written.push(path.display().to_string());
+        }
         for drawing in DRAWINGS {
             if !experiments.iter().any(|experiment| experiment.target == drawing.name) {
                 continue;
@@ -511,13 +520,14 @@ fn lend(
     terminal: &Terminal,
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
     // Whose seeds were asked for by name is content with no others.
-    let fits = |config: &Config, seeds: &[u64], spread: bool| {
+    let fits = |config: &Config, seeds: &[u64], spread: bool, has: &dyn Fn(Learner) -> bool| {
         // The simulators agree to far below what a policy does: either stands for the other.
         let bare =
             |config: &Config| Config { physics: Simulator::ClosedForm, ..config.with_seed(0).with_agent(Learner::Mc) };
         let same = |wanted: &&Wanted| {
             bare(&wanted.plan.config) == bare(config)
                 && wanted.cell.repeats.is_some() == spread
+                && (spread || wanted.cell.learners.iter().all(|learner| has(*learner)))
                 && (arguments.seeds.is_none() || wanted.plan.seeds == seeds)
         };
         wanted.iter().find(same).map(|wanted| wanted.cell)
@@ -525,12 +535,13 @@ fn lend(
     if !place.is_dir() {
         let record = Record::read(place)?;
         let config: Config = record.config.parse().map_err(|error| RunsError::damaged(place, format!("{error}")))?;
-        return Ok(fits(&config, record.seeds(), record.spread.is_some()).map(|cell| (cell, record)));
+        let has = |learner: Learner| record.arms.iter().any(|leg| leg.arm == Arm::of(learner));
+        return Ok(fits(&config, record.seeds(), record.spread.is_some(), &has).map(|cell| (cell, record)));
     }
     let run = RunDir::new(place);
     let plan = Plan::read(&run)?;
-    let both = [Learner::Baseline, Learner::Mc].iter().all(|learner| plan.learners.contains(learner));
-    let Some(cell) = fits(&plan.config, &plan.seeds, false).filter(|_| both) else { return Ok(None) };
+    let has = |learner: Learner| plan.learners.contains(&learner);
+    let Some(cell) = fits(&plan.config, &plan.seeds, false, &has) else { return Ok(None) };
     let manifest = Manifest::read(&run)?;
     if !manifest.is_intact() {
         return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
@@ -556,7 +567,7 @@ fn dry_run(
     let mut speeds: BTreeMap<&str, Speed> = BTreeMap::new();
     let (mut total, mut done) = (0.0, 0);
     let row = |cell: &str, seeds: &str, expected: &str, config: &str| {
-        let head = format!("{cell:<21}{seeds:<9}{expected:<14}");
+        let head = format!("{cell:<24}{seeds:<9}{expected:<14}");
         format!("{head}{}", wrap(config, head.chars().count(), super::WIDTH).trim_start())
     };
     writeln!(terminal.out, "{}", row("cell", "seeds", "expected", "configuration"))?;

@@ -202,6 +202,15 @@ pub(super) fn punished(e: &Evidence<'_>, cell: &Cell) -> Judged {
     Judged::new(below && checks(cell) > 2.0 * checks(&BOX), numbers)
 }
 
+pub(super) fn baselines(e: &Evidence<'_>) -> Judged {
+    let performance = |arm: Arm| e.arm(&BOX_BASELINES, arm).performance.mean;
+    let worse = performance(Arm::Frozen) < e.arm(&BOX, Arm::Mc).performance.mean;
+    let whole = [Arm::Oracle, Arm::Frozen].iter().all(|arm| e.arm(&BOX_BASELINES, *arm).hacked() == 0);
+    let ends = [(Arm::Oracle, "oracle"), (Arm::Frozen, "frozen policy"), (Arm::FrozenReward, "frozen reward model")]
+        .map(|(arm, name)| Some(Number::mean(name, &e.arm(&BOX_BASELINES, arm).performance)));
+    Judged::new(about(performance(Arm::Oracle), BOX_BEST) && worse && whole, ends)
+}
+
 pub(super) fn no_safe_steps(e: &Evidence<'_>) -> Judged {
     let reached = reaching(e, &BOX_SAFE_0, BOX_BEST);
     Judged::new(

@@ -5,6 +5,7 @@
 //! claim or a figure reads, in one file. Claims ([`judge`]), figures and the page are functions of records
 //! alone, so results of another machine count like those made here.
 
+pub mod bands;
 mod checks;
 pub mod figures;
 mod page;

@@ -8,8 +8,10 @@ use super::checks;
 use super::rows::{Evidence, Judged};
 use crate::runs::{Origin, Plan, Setting};
 
-/// Learners of every cell: what the paper compares, from one and the same switch.
+/// Learners of a cell: what the paper compares, from one and the same switch.
 const LEARNERS: &[Learner] = &[Learner::Baseline, Learner::Mc];
+/// ... and what later work compares with.
+const BASELINES: &[Learner] = &[Learner::Oracle, Learner::Frozen, Learner::FrozenReward];
 
 /// Origin of the values that a cell sets, in `run.toml`.
 const ORIGIN: &str = "mcvl reproduce";
@@ -23,6 +25,8 @@ pub struct Cell {
     pub name: &'static str,
     /// The configuration, as text without a seed.
     pub config: &'static str,
+    /// Learners of the Full phase.
+    pub learners: &'static [Learner],
     /// How often, and of how many checks, the decision is repeated with other random numbers; such a cell
     /// measures their spread instead of training to the end.
     pub repeats: Option<Repeats>,
@@ -60,7 +64,11 @@ const REACHER_SEEDS: u64 = 5;
 
 impl Cell {
     const fn new(name: &'static str, config: &'static str) -> Self {
-        Self { name, config, repeats: None }
+        Self { name, config, learners: LEARNERS, repeats: None }
+    }
+
+    const fn spread(name: &'static str, config: &'static str) -> Self {
+        Self { repeats: SPREAD, ..Self::new(name, config) }
     }
 
     /// The configuration at the paper's setting (seed 0).
@@ -139,7 +147,7 @@ impl Cell {
             (name.to_owned(), Setting { value: key.value(&config), from })
         };
         let settings = settings.into_iter().map(setting).collect();
-        Ok(Plan { config, seeds: seeds.to_vec(), learners: LEARNERS.to_vec(), settings })
+        Ok(Plan { config, seeds: seeds.to_vec(), learners: self.learners.to_vec(), settings })
     }
 }
 
@@ -210,6 +218,7 @@ pub(super) static BOX_DISCARD: Cell = Cell::new("box-discard", "env=box-moving s
 pub(super) static BOX_EACH: Cell = Cell::new("box-each-step", "env=box-moving scheme=each-step");
 pub(super) static BOX_PUNISH: Cell = Cell::new("box-punish", "env=box-moving scheme=punish");
 pub(super) static BOX_PREDICTED: Cell = Cell::new("box-store-predicted", "env=box-moving scheme=store-predicted");
+pub(super) static BOX_BASELINES: Cell = Cell { learners: BASELINES, ..Cell::new("box-baselines", "env=box-moving") };
 pub(super) static BOX_SAFE_0: Cell = Cell::new("box-safe-0", "env=box-moving safe_steps=0");
 pub(super) static BOX_SAFE_100: Cell = Cell::new("box-safe-100", "env=box-moving safe_steps=100");
 pub(super) static BOX_SAFE_200: Cell = Cell::new("box-safe-200", "env=box-moving safe_steps=200");
@@ -239,9 +248,8 @@ pub(super) static REACHER_NO_BUTTON: Cell =
     Cell::new("reacher-small-no-button", "env=reacher preset=small variant=no-button");
 /// Enough repeats for a standard deviation to about a sixth of itself.
 const SPREAD: Option<Repeats> = Some(Repeats { checks: 12, repeats: 20 });
-pub(super) static TOMATO_SPREAD: Cell = Cell { name: "tomato-spread", config: "env=tomato-watering", repeats: SPREAD };
-pub(super) static ABSENT_SPREAD: Cell =
-    Cell { name: "absent-spread", config: "env=absent-supervisor", repeats: SPREAD };
+pub(super) static TOMATO_SPREAD: Cell = Cell::spread("tomato-spread", "env=tomato-watering");
+pub(super) static ABSENT_SPREAD: Cell = Cell::spread("absent-spread", "env=absent-supervisor");
 
 /// Every experiment, in the order of the specification.
 pub static EXPERIMENTS: &[Experiment] = &[
@@ -407,6 +415,12 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 text: "predicted reward stored instead: likewise",
                 cells: &[&BOX, &BOX_PREDICTED],
                 check: |e| checks::punished(e, &BOX_PREDICTED),
+            },
+            Claim {
+                text: "for comparison: an oracle, paid the performance, ends within 10 % of 49; a frozen policy ends \
+                       below check by reward; neither is hacked",
+                cells: &[&BOX, &BOX_BASELINES],
+                check: checks::baselines,
             },
         ],
     },
@@ -672,8 +686,10 @@ mod tests {
         let cells = cells();
         let names: BTreeSet<&str> = cells.iter().map(|cell| cell.name).collect();
         assert_eq!(names.len(), cells.len(), "a name is one folder");
-        let texts: BTreeSet<String> =
-            cells.iter().map(|cell| format!("{} {:?}", cell.paper().unwrap(), cell.repeats)).collect();
+        let texts: BTreeSet<String> = cells
+            .iter()
+            .map(|cell| format!("{} {:?} {:?}", cell.paper().unwrap(), cell.learners, cell.repeats))
+            .collect();
         assert_eq!(texts.len(), cells.len(), "no setting is trained twice");
         for cell in cells {
             for quick in [false, true] {
