@@ -53,20 +53,21 @@ function tape(value, fail) {
   if (value.version !== VERSION) {
     fail(`the tape has version ${value.version}, this page reads version ${VERSION}.`);
   }
-  const { configuration, world, legs, evaluations, checks, tolerance } = value;
+  const { configuration, world, legs, evaluations, checks, tolerance, updates } = value;
   const whole =
     /^env=\S+( \S+=\S+)*$/.test(configuration) &&
     Array.isArray(world?.actions?.discrete ?? world?.actions?.continuous?.names) &&
     world.legend.every((entry) => entry.length === 2 && entry.every((part) => typeof part === "string")) &&
     world.reward_scale > 0 &&
-    // Tapes from before worlds had their own have none.
+    // Older tapes have neither.
     (tolerance === undefined || tolerance >= 0) &&
+    (updates === undefined || updates >= 0) &&
     [legs, evaluations, checks].every(Array.isArray) &&
     legs.every(({ arm, steps }) => Object.hasOwn(LEARNERS, arm) && Number.isInteger(steps)) &&
     evaluations.every((point) => Object.hasOwn(LEARNERS, point.arm) && numbers(point, ["step", "return", "performance"]));
   if (!whole) fail("the tape is damaged: its world, legs or evaluations are not what they should be.");
   checks.forEach((check, index) => sound(check, `entry ${index + 1} of its checks`, fail));
-  return { configuration, world, legs, evaluations, checks, tolerance };
+  return { configuration, world, legs, evaluations, checks, tolerance, updates };
 }
 
 const numbers = (value, keys) => keys.every((key) => Number.isFinite(value[key]));

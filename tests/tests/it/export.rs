@@ -224,6 +224,10 @@ fn tapes_hold_the_checks_that_were_asked_for() {
     let read = |name: &str| json(&fs::read_to_string(folder.join(name)).unwrap());
     let whole = read("run/export/tape/seed-3.json");
     assert_eq!(whole["checks"].as_array().unwrap().len(), lines(&folder.join("run/seed-3/ledger.jsonl")).len());
+    let costs = whole["checks"].as_array().unwrap().iter().map(|check| check["cost"].as_u64().unwrap());
+    let end = |arm: &str| events(&folder.join("run/seed-3"), "end", arm)[0]["updates"].as_u64().unwrap();
+    let learned = end("baseline") + end("mc") - end("safe");
+    assert_eq!(whole["updates"], costs.sum::<u64>() + learned, "what deriving it again costs");
     assert_eq!(ok(folder, "export run/seed-3 --to tape --check 2 --check 1 -o two.json"), "two.json\n");
     let mut two = read("two.json");
     assert_eq!(two["checks"].as_array().unwrap()[..], whole["checks"].as_array().unwrap()[..2]);
