@@ -186,9 +186,15 @@ fn the_page_of_results_is_made_of_the_committed_records() {
     let folder = folder.path();
     let (docs, results) = (root().join("docs"), root().join("results"));
     fs::copy(docs.join("results.md"), folder.join("results.md")).unwrap();
-    ok(folder, &format!("reproduce all --evaluate --from {} -o results --page results.md", results.display()));
+    let command = format!("reproduce all --evaluate --from {} -o results --page results.md", results.display());
+    ok(folder, &format!("{command} --bands bands.json"));
     let read = |path: &Path| fs::read_to_string(path).unwrap();
-    let advice = "run: mcvl reproduce all --evaluate --from results -o docs/results --page docs/results.md";
+    let advice = "run: mcvl reproduce all --evaluate --from results -o docs/results --page docs/results.md \
+                  --bands www/bands.json";
+    assert!(
+        read(&folder.join("bands.json")) == read(&root().join("www/bands.json")),
+        "www/bands.json is older: {advice}"
+    );
     assert!(read(&folder.join("results.md")) == read(&docs.join("results.md")), "docs/results.md is older: {advice}");
     for name in ["fig3.svg", "fig4a.svg", "fig4b.svg", "fig5.svg", "claims.csv", "numbers.csv"] {
         let same = read(&folder.join("results").join(name)) == read(&docs.join("results").join(name));
