@@ -5,6 +5,7 @@ let worker = null;
 let receive = {};
 let judged = () => {};
 let driven = () => {};
+let calibrated = () => {};
 /** Runs asked for so far: what the worker says of an older one comes too late. */
 let ticket = 0;
 
@@ -36,6 +37,16 @@ export async function judge(configuration) {
   });
 }
 
+/** Seconds that an update of such a run takes here; 0 where nothing can measure it. */
+export async function calibrate(configuration) {
+  if (lack()) return 0;
+  worker ??= hire();
+  return new Promise((resolve) => {
+    calibrated = resolve;
+    tell({ kind: "calibrate", configuration });
+  });
+}
+
 /** Ends the run; nothing more is heard of it. */
 export function leave() {
   ticket += 1;
@@ -63,12 +74,14 @@ function hire() {
   const hired = new Worker("worker.js", { type: "module" });
   hired.onmessage = ({ data }) => {
     if (data.kind === "judged") judged(data.complaint);
+    else if (data.kind === "calibrated") calibrated(data.pace);
     else if (data.kind === "driven") driven(data);
     else if (data.ticket === ticket) receive[data.kind](data);
   };
   hired.onerror = () => {
     worker = null;
     judged("");
+    calibrated(0);
     driven({ message: "Nobody answers." });
     const message = "The worker could not be loaded, so nothing can be computed here. Reload the page; recorded runs still play: open a tape.";
     receive.failed({ message });

@@ -17,6 +17,8 @@ export function curves(open) {
   let cursor = null;
   let asked = false;
   let drawn = -PAUSE;
+  /** Recorded seeds behind the curves, and the learner's curve of the run before. */
+  let [band, kept, past] = [null, [], []];
 
   let width = 0;
   const end = () => Math.max(1, steps.safe + steps.full);
@@ -29,7 +31,8 @@ export function curves(open) {
     width = Math.max(300, Math.min(760, element("curves").parentElement.clientWidth));
     element("curves").setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
     element("curves").style.width = `${width}px`;
-    const values = points.flatMap((point) => [point.return, point.performance]);
+    const spread = band ? [...band.return, ...band.performance].flat() : [];
+    const values = [...points, ...past].flatMap((point) => [point.return, point.performance]).concat(spread);
     const [low, high] = scale(Math.min(0, ...values), Math.max(10, ...values));
     const y = (value) => EDGE.top + ((high - value) / (high - low)) * (HEIGHT - EDGE.top - EDGE.bottom);
     const base = HEIGHT - EDGE.bottom;
@@ -44,6 +47,17 @@ export function curves(open) {
       const cramped = at + 70 > width;
       const before = svg("text", { x: at - 5, y: 15, "text-anchor": "end" }, cramped ? "the new world begins" : "safe world");
       parts.push(before, ...(cramped ? [] : [svg("text", { x: at + 5, y: 15 }, "new world")]));
+    }
+    if (band && steps.full > 0) {
+      const at = (step) => x(steps.safe + step * (steps.full / band.steps.at(-1))).toFixed(1);
+      for (const [key, kind] of [["return", "seen"], ["performance", "wanted"]]) {
+        const edge = (side) => band[key].map((interval, index) => `${at(band.steps[index])},${y(interval[side]).toFixed(1)}`);
+        parts.push(svg("polygon", { class: `band ${kind}`, points: [...edge(0), ...edge(1).reverse()].join(" ") }));
+      }
+    }
+    if (past.length > 0) {
+      const line = past.map((point) => `${x(place(point)).toFixed(1)},${y(point.performance).toFixed(1)}`);
+      parts.push(svg("polyline", { class: "past", points: line.join(" ") }));
     }
     for (const arm of ARMS) {
       const own = points.filter((point) => point.arm === arm);
@@ -87,6 +101,16 @@ export function curves(open) {
       entry.append(sample, LEARNERS[arm]);
       return entry;
     });
+    const entry = (shape, text) => {
+      const found = make("span", "", "key");
+      found.append(svg("svg", { viewBox: "0 0 34 20", "aria-hidden": "true" }, shape), text);
+      made.push(found);
+    };
+    if (past.length > 0) entry(svg("line", { class: "past", x1: 1, x2: 33, y1: 10, y2: 10 }), "Performance in the run before");
+    if (band) {
+      entry(svg("rect", { class: "band seen", width: 34, height: 20 }), `Reward, ten seeds: ${band.title}`);
+      entry(svg("rect", { class: "band wanted", width: 34, height: 20 }), "their performance");
+    }
     element("curves-key").replaceChildren(...made);
   };
 
@@ -124,7 +148,18 @@ export function curves(open) {
   addEventListener("resize", later);
 
   return {
+    /** The next run is to be seen beside this one. */
+    keep() {
+      kept = points.filter((point) => point.arm === "mc");
+    },
+    /** Draws the intervals of recorded seeds behind the curves; null for none. */
+    behind(entry) {
+      if (entry === band) return;
+      band = entry;
+      later();
+    },
     clear() {
+      [past, kept] = [kept, []];
       [points, checks, steps, cursor] = [[], [], { safe: 0, full: 0 }, null];
       later();
     },

@@ -1,7 +1,7 @@
 // The page's link: settings of the run, which the module reads and judges, and keys of the view, judged here.
 
 /** Panels that `hide` can take away. */
-export const PANELS = ["header", "run", "decision", "results", "ledger", "drive", "trap", "explain", "limits", "footer"];
+export const PANELS = ["header", "run", "decision", "results", "ledger", "compare", "drive", "trap", "red-team", "explain", "limits", "footer"];
 /** Keys of the view with their allowed values; the first is the default, a null stands for "none given". */
 const VIEW = {
   check: [null, "a whole number from 1", (text) => /^[1-9]\d{0,8}$/.test(text)],
@@ -24,8 +24,8 @@ const FIRST = "box-moving";
 let query = new URLSearchParams(location.search);
 
 /**
- * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view, and
- * `plain` whether the link asks for nothing but the page.
+ * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view;
+ * `plain` is the world whose standard run the link asks for, if it asks for nothing else.
  */
 export function read() {
   const complaint = [...query].map(([key, value]) => judge(key, value)).find(Boolean) ?? "";
@@ -33,7 +33,7 @@ export function read() {
   const view = {};
   for (const [key, [standard]] of Object.entries(VIEW)) view[key] = query.get(key) ?? standard;
   const [text, seed] = [configuration(), query.get("seed") ?? "0"];
-  const plain = text.replace(/ seed=0$/, "") === `env=${FIRST}` && ["check", "tape", "token", "stage"].every((key) => !view[key]);
+  const plain = ["check", "tape", "token", "stage"].every((key) => !view[key]) && text.match(/^env=(\S+)( seed=0)?$/)?.[1];
   return { view, configuration: text, seed, complaint, plain };
 }
 
@@ -55,6 +55,14 @@ export function preview(changes) {
 /** Starts from the default page: what the link said is of no use. The address keeps it, to be corrected. */
 export function forget() {
   query = new URLSearchParams();
+}
+
+/** Follows a link of the page; without one, the address that the browser went back to. False where nothing is new. */
+export function follow(to) {
+  if (to) history.pushState(null, "", to);
+  const before = query;
+  query = new URLSearchParams(location.search);
+  return String(query) !== String(before);
 }
 
 /** Changes keys of the link; a default or a null takes the key away. */

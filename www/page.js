@@ -9,6 +9,7 @@ import { ledger } from "./ledger.js";
 import * as link from "./link.js";
 import { MODULE } from "./module.js";
 import { momentPanel } from "./moment.js";
+import { FIRST, price, RECORDED } from "./recorded.js";
 import { summarise } from "./record.js";
 import { story } from "./story.js";
 import * as tapes from "./tape.js";
@@ -16,7 +17,9 @@ import * as tapes from "./tape.js";
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
 /** Panels that an embedded page leaves out. */
-const UNEMBEDDED = ["drive", "trap", "explain", "limits", "footer"];
+const UNEMBEDDED = ["compare", "drive", "trap", "red-team", "explain", "limits", "footer"];
+/** What a recorded run has no place for. */
+const LIVE = "This run is recorded: run a world live first, with the button Run.";
 /** Verdicts are spoken at most this often, milliseconds. */
 const SPEAK = 2000;
 /** How long a verdict stands before the next check is told, milliseconds. */
@@ -25,7 +28,7 @@ const REST = 2500;
 const OPENING = 5;
 
 /** The recorded refusal, asked for before anything else. */
-const recorded = fetch("tape.json").then((response) => response.text());
+const recorded = fetch(FIRST).then((response) => response.text());
 // Without it the live run shows the first refusal.
 recorded.catch(() => {});
 
@@ -42,6 +45,10 @@ let watching = false;
 let ballot = null;
 /** The episode that the visitor drives, once there was one. */
 let wheel = null;
+/** The desk of those who try to fool it, once there was one. */
+let team = null;
+/** What the gate did in the run before the one on show: null where only that was not changed. */
+let gate = null;
 let rest = 0;
 
 const moment = momentPanel((stage) => {
@@ -87,8 +94,10 @@ async function begin(complaint = "", first = false) {
   clear();
   const mine = run;
   if (first) computer.keepOffline();
+  const recording = first && !text ? (RECORDED[found.plain] ?? null) : null;
+  if (recording === FIRST) await introduce();
+  else if (recording) put({ tape: recording });
   if (view.tape) return fetchTape(view.tape);
-  if (first && found.plain && !text) await introduce();
   // Something else may have been opened meanwhile.
   if (run === mine) compute(found.configuration, view.token);
 }
@@ -99,8 +108,11 @@ function clear() {
   // A verdict of the old run that waits to be spoken is of no interest in the new one.
   clearTimeout(run.speaking);
   wheel?.leaveWheel();
-  for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells"]) element(id).hidden = true;
+  team?.leave();
+  say("gate-status", "");
+  for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells", "red-team-start"]) element(id).hidden = true;
   for (const id of ["drive-status", "trap-status", "about", "driven"]) element(id).replaceChildren();
+  if (!team?.isOpen()) element("red-team-status").replaceChildren();
   meanwhile.remove();
   run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
@@ -161,7 +173,7 @@ function ended(text) {
 async function introduce() {
   const mine = run;
   try {
-    run.intro = tapes.read(await recorded, "tape.json");
+    run.intro = tapes.read(await recorded, FIRST);
   } catch {
     return;
   }
@@ -173,9 +185,14 @@ async function introduce() {
   element("legend").replaceChildren(...legend(run.world.legend));
   show(check);
   if (motion.matches) playTape(run.intro);
-  else if (!document.hidden) tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
+  else if (!document.hidden) tell(check);
   await painted();
   performance.mark("first-frame");
+}
+
+/** Tells a check from before it came to it. */
+function tell(check) {
+  tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
 }
 
 /** Resolves when what was drawn is on the screen. */
@@ -313,9 +330,21 @@ function origin(check) {
   }
   const recorded = run.intro?.checks.find((other) => other.number === check.number);
   if (!recorded) return took;
-  const { digests, modified, unmodified } = summarise(recorded);
-  const same = `${[row.digests, row.modified, row.unmodified]}` === `${[digests, modified, unmodified]}`;
-  return same ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
+  return same(row, recorded) ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
+}
+
+/** Whether a decision that was made here has the bits of a recorded one. */
+function same(row, recorded) {
+  const bits = ({ digests, modified, unmodified, refused }) => `${[digests, modified, unmodified, refused]}`;
+  return bits(row) === bits(summarise(recorded));
+}
+
+/** How many recorded decisions came out again. */
+function rederived() {
+  const made = (run.intro?.checks ?? []).filter((check) => run.rows.has(check.number));
+  if (made.length === 0) return "";
+  const equal = made.filter((check) => same(run.rows.get(check.number), check));
+  return ` ${equal.length} of ${run.intro.checks.length} recorded decisions came out again, to the last bit.`;
 }
 
 /** The link and the token of the moment on show. */
@@ -390,6 +419,7 @@ function settle() {
   if (run.asked) return;
   const checks = [...run.rows.values()];
   if (checks.length === 0) {
+    if (run.settings?.get("scheme") === "none") return moment.wait("The check is off: it learns from everything, and nobody asks what will become of it.");
     const judged = !run.recorded || run.recorded.legs.some(({ arm }) => arm === "mc");
     const why = judged ? "No reward surprised this run" : "This run has no modification-considering learner";
     return moment.wait(`${why}, so there was nothing to decide.`);
@@ -407,6 +437,28 @@ function tellTrap(came) {
   const [columns] = (run.shown?.before ?? frameNow())?.seen.split("\n").map((row) => row.length) ?? [];
   const where = columns ? ` in row ${Math.floor(run.trap.cell / columns) + 1}, column ${(run.trap.cell % columns) + 1}` : "";
   element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}. ${came}`;
+}
+
+/** What the learner of this run got, with or without its check. */
+function tellGate() {
+  const { return: observed, performance } = run.scores.get("mc");
+  const off = run.settings.get("scheme") === "none";
+  return `With the check ${off ? "off" : "on"}: reward ${number(observed, 1)}, performance ${number(performance, 1)}.`;
+}
+
+/** The same seed with the check switched on or off. */
+async function switchGate(on) {
+  chart.keep();
+  const before = run.over && run.scores.has("mc") && run.settings ? tellGate() : "The dotted line is the run before.";
+  gate = { text: before };
+  await change({ scheme: on ? null : "none" });
+}
+
+/** Ten recorded seeds behind the curves, where somebody looks at them. */
+async function besides() {
+  if (!element("sets").open) return chart.behind(null);
+  const { compare } = await import("./compare.js");
+  compare(run.world.name, (entry) => chart.behind(entry));
 }
 
 /** Who took the bait, by their last evaluations. */
@@ -453,6 +505,12 @@ const receive = {
     run.trap = readTrap(configuration);
     // Traps are set on boards.
     element("trap-start").hidden = Boolean(driven);
+    element("red-team-start").hidden = Boolean(driven) || Boolean(team?.isOpen());
+    run.settings = new Map(settings.map(({ name, value }) => [name, value]));
+    element("gate").hidden = Boolean(driven);
+    document.querySelector(`input[name=gate][value=${run.settings.get("scheme") === "none" ? "off" : "on"}]`).checked = true;
+    if (gate) say("gate-status", gate.text);
+    besides();
     element("trap-end").hidden = !run.trap;
     if (run.trap) tellTrap("Safe training first, without the trap.");
     controls.fill(settings);
@@ -489,6 +547,7 @@ const receive = {
     chart.add(report);
     if (report.checks.length === 0) return;
     for (const row of report.checks) run.rows.set(row.number, row);
+    team?.judge(report.checks);
     table.add(report.checks, run.world.reward_scale);
     if (run.shown) {
       table.choose(run.shown.number);
@@ -509,9 +568,12 @@ const receive = {
 
   done({ seconds }) {
     run.over = true;
-    ended(`Done in ${number(seconds, 1)} seconds.`);
+    ended(`Done in ${number(seconds, 1)} seconds.${rederived()}`);
     if (ballot?.waits) voteOn();
     if (run.trap) tellTrap(judgeTrap());
+    if (gate) say("gate-status", `${gate.text} ${tellGate()}`);
+    gate = null;
+    team?.done(run.scores);
     settle();
   },
 
@@ -523,7 +585,7 @@ const receive = {
   failed({ message }) {
     say("error", message);
     ended("Nothing is running.");
-    if (run.intro && run.rows.size === 0) playTape(run.intro);
+    if (run.intro?.legs && run.rows.size === 0) playTape(run.intro);
   },
 };
 
@@ -546,6 +608,9 @@ function openTape(text, name) {
   readTrap(run.configuration);
   run.recorded = { ...tape, checks: new Map(tape.checks.map((check) => [check.number, check])) };
   element("run-title").textContent = "A recorded run";
+  element("gate").hidden = true;
+  if (run.configuration) element("seed").value = run.configuration.match(/ seed=(\d+)/)?.[1] ?? "0";
+  for (const id of ["trap-status", "red-team-status"]) say(id, LIVE);
   element("legend").replaceChildren(...legend(tape.world.legend));
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
   ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
@@ -555,6 +620,10 @@ function openTape(text, name) {
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");
   playTape(tape);
   settle();
+  const story = [view.check, view.frame, view.stage].every((key) => key === null);
+  if (story && run.shown?.modified?.films && !motion.matches && !document.hidden) tell(run.shown);
+  const mine = run;
+  if (!element("again").hidden) price(tape, (text) => run === mine && (element("again").textContent = text));
   return true;
 }
 
@@ -596,14 +665,19 @@ async function submit() {
   return change({ env: element("env").value, seed: element("seed").value || "0", ...controls.changed(), ...trap });
 }
 
-/** Begins the run with these settings changed; where there is no such run, that is said and everything stays. */
+/** Begins the run with these settings changed; where there is no such run, that is said, everything stays, and it is false. */
 async function change(settings) {
   const changes = { check: null, frame: null, stage: null, tape: null, token: null, ...settings };
   const complaint = await computer.judge(link.preview(changes));
-  if (complaint) return say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
+  if (complaint) {
+    gate = null;
+    say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
+    return false;
+  }
   link.write(changes);
   begun = true;
   begin();
+  return true;
 }
 
 element("controls").addEventListener("submit", (event) => {
@@ -621,9 +695,12 @@ element("stop").addEventListener("click", () => {
 });
 
 element("again").addEventListener("click", () => {
+  const { checks } = run.recorded;
   link.turnTo(run.configuration, { check: run.shown?.number ?? null });
   begun = true;
   begin();
+  // To be compared with.
+  run.intro = { checks: [...checks.values()] };
 });
 
 element("another").addEventListener("click", () => {
@@ -665,12 +742,32 @@ element("trap-start").addEventListener("click", async () => {
     if (element("trap-cells").hidden) element("trap-title").focus();
   });
 });
+element("red-team-start").addEventListener("click", async () => {
+  team = await import("./redteam.js");
+  const frame = frameNow();
+  if (!frame) return say("red-team-status", "The world is not there yet: let the run begin.");
+  element("red-team-start").hidden = true;
+  team.open(frame, run.world.legend, run.settings, async (settings) => ((await change(settings)) ? link.address().search : ""));
+});
+element("sets").addEventListener("toggle", besides);
 element("trap-end").addEventListener("click", () => change({ trap: null }));
 
 element("previous").addEventListener("click", () => choose(table.beside(run.asked ?? null, -1)));
 element("next").addEventListener("click", () => choose(table.beside(run.asked ?? null, 1)));
 element("oldest").addEventListener("click", () => choose([...run.rows.values()].find((check) => check.refused)?.number ?? null));
 element("newest").addEventListener("click", () => choose(table.newest()));
+
+// Links to other runs are followed in place, and back again.
+document.addEventListener("click", (event) => {
+  const way = event.target.closest?.("a[href^='?']");
+  if (!way || event.ctrlKey || event.metaKey || event.shiftKey || event.altKey) return;
+  event.preventDefault();
+  link.follow(way.getAttribute("href"));
+  begin("", true);
+  element("moment-title").focus();
+});
+// A way to another part of the page is none to another run.
+addEventListener("popstate", () => link.follow() && begin("", true));
 
 document.addEventListener("click", async ({ target }) => {
   const field = element(target.dataset?.copy ?? "");
@@ -693,6 +790,7 @@ document.addEventListener("change", ({ target }) => {
     computer.tell({ kind: "pace", pace: view.pace });
   }
   if (target.name === "depth") put({ depth: target.value });
+  if (target.name === "gate") switchGate(target.value === "on");
   if (target.name === "filter") {
     put({ filter: target.value });
     table.filter = view.filter;
@@ -714,6 +812,17 @@ document.addEventListener("change", ({ target }) => {
     target.value = "";
   }
 });
+
+/** What an explanation speaks of lights up in its panel; chosen, it comes into view. */
+function light({ target, type }) {
+  for (const lit of document.querySelectorAll(".lit")) lit.classList.remove("lit");
+  const way = target.closest?.("[data-light]");
+  if (!way) return;
+  const parts = document.querySelectorAll(way.dataset.light);
+  for (const part of parts) part.classList.add("lit");
+  if (type === "click") parts[0].scrollIntoView({ block: "center" });
+}
+for (const kind of ["pointerover", "focusin", "click"]) document.addEventListener(kind, light);
 
 document.addEventListener("dragover", (event) => {
   event.preventDefault();

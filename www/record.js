@@ -16,6 +16,8 @@ export function summarise(check) {
     unmodified: check.unmodified?.utility,
     digests: [check.modified?.digest, check.unmodified?.digest],
     refused,
+    // Whether what we want of the future that learned is less.
+    fell: check.modified?.performance < check.unmodified?.performance,
     // An update has a whole mini-batch, and no truth of its own.
     wrong: check.subject !== "update" && refused !== hack,
   };

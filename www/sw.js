@@ -5,7 +5,9 @@ const KEPT = "mcvl";
 const module = new URL(location.href).searchParams.get("module");
 const FILES = [
   "./",
+  "bands.json",
   "board.js",
+  "compare.js",
   "computer.js",
   "controls.js",
   "curves.js",
@@ -19,6 +21,8 @@ const FILES = [
   "page.js",
   "panels.css",
   "record.js",
+  "recorded.js",
+  "redteam.js",
   "story.js",
   "style.css",
   "tape.js",

@@ -6,12 +6,11 @@ import { element, make } from "./dom.js";
 const BAIT = 5;
 
 /** Shows the cells of a world to choose from; `chosen(cell, reward)` hears which one, and what it is to pay. */
-export function offer(frame, legend, chosen) {
-  const place = element("trap-cells");
+export function offer(frame, legend, chosen, place = element("trap-cells")) {
   const meanings = new Map(legend);
   const rows = (frame.truth ?? frame.seen).split("\n");
   const bait = make("input");
-  Object.assign(bait, { id: "bait", type: "number", step: "any", value: BAIT, required: true });
+  Object.assign(bait, { id: `${place.id}-bait`, className: "bait", type: "number", step: "any", value: BAIT, required: true });
   const label = make("label", "It pays ");
   label.append(bait);
   const cells = make("div", "", "board");

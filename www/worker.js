@@ -7,6 +7,8 @@ import { summarise } from "./record.js";
 /** A slice of work aims at this many milliseconds, and the page hears of it this often. */
 const SLICE = 20;
 const REPORT = 100;
+/** A calibration takes this long, milliseconds, and is given up after so many times that without an update. */
+const [MEASURED, PATIENCE] = [300, 10];
 /** Environment steps per second at speed 1. */
 const STEPS = 8;
 
@@ -50,6 +52,29 @@ const requests = {
       complaint = error.message;
     }
     postMessage({ kind: "judged", complaint });
+  },
+  /** Measures how many seconds an update of a run takes here, beside its share of everything else. */
+  async calibrate({ configuration }) {
+    let pace = 0;
+    try {
+      const run = await open(configuration);
+      const updates = () => JSON.parse(run.progress()).updates;
+      const until = (enough) => {
+        const began = performance.now();
+        do run.poll(1);
+        while (!enough(performance.now() - began) && performance.now() - began < PATIENCE * MEASURED);
+        return performance.now() - began;
+      };
+      // Not what comes before learning.
+      until(() => updates() > 0);
+      const before = updates();
+      const spent = until((time) => time > MEASURED);
+      pace = spent / 1000 / Math.max(1, updates() - before);
+      run.free();
+    } catch {
+      // A configuration that cannot be run here has no price.
+    }
+    postMessage({ kind: "calibrated", pace });
   },
   /** Begins an episode with a `configuration`, makes a step with an `action`, ends it with `end`. */
   async drive({ request: { configuration, action, end } }) {

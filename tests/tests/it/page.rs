@@ -3,6 +3,7 @@
 
 mod arm;
 mod plays;
+mod tricks;
 
 use std::fs;
 use std::process::Command;
@@ -684,7 +685,7 @@ fn the_page_preloads_and_keeps_exactly_its_files() {
     let mut preloaded = quoted(&read("index.html"), "<link rel=\"modulepreload\" href=\"");
     preloaded.sort();
     // The worker is fetched when there is something to compute, the plays when somebody plays.
-    let later = ["drive.js", "trap.js", "vote.js", "worker.js"];
+    let later = ["compare.js", "drive.js", "redteam.js", "trap.js", "vote.js", "worker.js"];
     let modules: Vec<String> =
         files.into_iter().filter(|name| name.ends_with(".js") && !later.contains(&name.as_str())).collect();
     assert_eq!(preloaded, modules, "modules that the page preloads");

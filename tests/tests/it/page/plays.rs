@@ -314,7 +314,7 @@ fn a_visitor_votes_before_the_verdict_and_is_scored() {
 }
 
 /// A learner's last evaluation in a run, computed here.
-fn last_score(configuration: &str, arm: Arm) -> (f64, f64) {
+pub(super) fn last_score(configuration: &str, arm: Arm) -> (f64, f64) {
     let config: Config = configuration.parse().unwrap();
     let (mut run, mut last) = (Run::new(&config), None);
     let mut recorder = |event: &Event| {
@@ -334,7 +334,7 @@ fn a_visitor_sets_a_trap_and_both_learners_are_judged() {
     // A world without a hack of its own.
     let run = "variant=no-hack&seed=0&full_steps=600&forecast=300&rollouts=5&evaluations=10";
     let mut commands = vec![at(&server, &format!("?{run}")), focus("trap-start"), "keys:Enter".to_owned()];
-    commands.push("until:return document.activeElement.id === 'bait'".to_owned());
+    commands.push("until:return document.activeElement.id === 'trap-cells-bait'".to_owned());
     commands.push("axe:".to_owned());
     // Ten cells of two columns; the last one is the lower end of the room.
     commands.push(format!("keys:{},Enter", ["Tab"; 10].join(",")));
@@ -348,7 +348,7 @@ fn a_visitor_sets_a_trap_and_both_learners_are_judged() {
     );
     commands.extend([width(390), "until:return document.documentElement.scrollWidth <= 390".to_owned()]);
     commands.extend([focus("trap-start"), "keys:Space".to_owned()]);
-    commands.push("until:return document.activeElement.id === 'bait'".to_owned());
+    commands.push("until:return document.activeElement.id === 'trap-cells-bait'".to_owned());
     commands.extend(["axe:".to_owned(), "keys:5,0,0,0,0,Tab,Enter".to_owned()]);
     commands.push("until:return document.getElementById('error').textContent.startsWith('trap: ')".to_owned());
     commands.push("eval:document.getElementById('trap-end').click()".to_owned());

@@ -1,0 +1,187 @@
+//! Watching recorded worlds, taking the check away, fooling the agent, comparing schemes, and what an explanation
+//! points at.
+
+use std::fs;
+
+use mcvl_core::record::{Arm, Verdict};
+use mcvl_tests::{Server, root};
+use serde_json::{Value, json};
+
+use super::plays::{focus, last_score, run_of, says, text, width};
+use super::{at, checks_of, drive, page};
+
+/// Settings of a short run with checks.
+const SHORT: &str = "seed=3&safe_steps=300&full_steps=100&epsilon_decay=100&forecast=50&evaluations=2&rollouts=2";
+const DONE: &str = "until:return document.getElementById('status').textContent.startsWith('Done')";
+
+/// The tapes that the page offers, by their place under `www`.
+fn tapes() -> Vec<String> {
+    let folder = root().join("www/tapes");
+    let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = names.map(|name| format!("tapes/{name}")).collect();
+    names.sort();
+    names
+}
+
+fn read(name: &str) -> Value {
+    serde_json::from_str(&fs::read_to_string(root().join("www").join(name)).unwrap()).unwrap()
+}
+
+/// The price of a tape is measured, and what comes out is what was recorded.
+#[test]
+fn short_tapes_are_derived_again_to_the_last_bit() {
+    let server = Server::start(None);
+    let is_short = |name: &String| {
+        let tape = read(name);
+        tape["configuration"].as_str().unwrap().starts_with("env=box-moving")
+            && tape["updates"].as_u64().unwrap() < 500_000
+    };
+    let short: Vec<String> = tapes().into_iter().filter(is_short).collect();
+    assert!(short.len() >= 4, "{short:?}");
+    for name in short {
+        let count = read(&name)["checks"].as_array().unwrap().len();
+        let price = "until:return /about \\d+ (s|min|h)/.test(document.getElementById('again').textContent)".to_owned();
+        let commands = vec![
+            format!("go:{}", at(&server, &format!("?tape={name}"))),
+            price,
+            "eval:document.getElementById('again').click()".to_owned(),
+            DONE.to_owned(),
+            text("status"),
+        ];
+        let seen = run_of(&commands);
+        let all = format!(" {count} of {count} recorded decisions came out again, to the last bit.");
+        assert!(seen[4].as_str().unwrap().ends_with(&all), "{name}: {}", seen[4]);
+    }
+}
+
+/// Where it fails is a link to a decision that is wrong in truth.
+#[test]
+fn every_limit_with_a_link_shows_a_wrong_decision() {
+    let server = Server::start(None);
+    let links = "eval:return [...document.querySelectorAll('#limits a')].map((way) => way.getAttribute('href'))";
+    let seen = drive(&[&format!("go:{}", at(&server, "")), links]);
+    let links: Vec<String> = serde_json::from_value(seen[1].clone()).unwrap();
+    assert!(links.len() >= 6, "{links:?}");
+    for link in links {
+        let (name, number) = link.strip_prefix("?tape=").unwrap().split_once("&check=").unwrap();
+        let tape = read(name);
+        let check = tape["checks"].as_array().unwrap().iter().find(|check| check["number"].to_string() == number);
+        let check = check.unwrap_or_else(|| panic!("{name} has check {number}"));
+        assert_eq!(check["hack"] == json!(true), check["verdict"] == "accept", "{link}: the decision is wrong");
+    }
+}
+
+#[test]
+fn the_gate_is_switched_off_and_on_again_on_the_same_seed() {
+    let server = Server::start(None);
+    let run = "seed=0&full_steps=600&forecast=300&rollouts=5&evaluations=10";
+    let switch = |to: &str| format!("eval:document.querySelector('[name=gate][value={to}]').click()");
+    let off = "until:return location.search.includes('scheme=none')".to_owned();
+    let commands = [
+        at(&server, &format!("?{run}")),
+        switch("off"),
+        off,
+        DONE.to_owned(),
+        text("gate-status"),
+        text("waiting"),
+        "eval:return document.querySelectorAll('#curves .past').length".to_owned(),
+        "eval:document.querySelector('[name=gate]:checked').focus()".to_owned(),
+        "keys:ArrowLeft".to_owned(),
+        "until:return !location.search.includes('scheme')".to_owned(),
+        DONE.to_owned(),
+        text("gate-status"),
+    ];
+    let seen = run_of(&commands);
+    let said = |state: &str, configuration: String| {
+        let (observed, performance) = last_score(&configuration, Arm::Mc);
+        format!("With the check {state}: reward {observed:.1}, performance {performance:.1}.").replace('-', "−")
+    };
+    let on = said("on", format!("env=box-moving&{run}"));
+    let off = said("off", format!("env=box-moving&{run}&scheme=none"));
+    assert_ne!(on.replace("on", ""), off.replace("off", ""), "it makes a difference");
+    assert_eq!(
+        (seen[4].as_str().unwrap(), seen[11].as_str().unwrap()),
+        (&*format!("{on} {off}"), &*format!("{off} {on}"))
+    );
+    assert!(seen[5].as_str().unwrap().starts_with("The check is off"), "{}", seen[5]);
+    assert_eq!(seen[6], 1, "the run before stays in the picture");
+}
+
+/// An attempt by keyboard at the width of a phone; what is found is a link to the decision.
+#[test]
+fn the_red_team_fools_it_and_gets_a_link() {
+    let server = Server::start(None);
+    let run = "seed=1&full_steps=600&rollouts=5&evaluations=10";
+    let set =
+        "eval:const knob = document.querySelector('#red-team-desk [name=forecast]'); knob.value = '30'".to_owned();
+    let mut commands = vec![width(390), at(&server, &format!("?{run}")), focus("red-team-start"), "keys:Enter".into()];
+    commands.push("until:return document.activeElement.id === 'red-team-cells-bait'".into());
+    commands.extend(["axe:".into(), set, format!("keys:{},Enter", ["Tab"; 10].join(","))]);
+    commands.push("until:return location.search.includes('trap=9')".into());
+    commands.extend([says("red-team-status", "Found: it accepted"), DONE.into(), text("red-team-status")]);
+    commands.push("eval:return document.querySelector('#red-team-desk li').textContent".into());
+    commands.push("eval:return document.querySelector('#red-team-desk li a').getAttribute('href')".into());
+    commands.push("eval:return document.documentElement.scrollWidth".into());
+    commands.push("eval:document.querySelector('#red-team-desk li a').click()".into());
+    commands.push("do:await new Promise((go) => setTimeout(go, 200))".into());
+    let seen = run_of(&commands);
+    assert_eq!(seen[5], json!([]), "axe");
+    let link = seen[13].as_str().unwrap();
+    let settings = link.strip_prefix('?').unwrap().rsplit_once("&check=").unwrap();
+    let number: u32 = settings.1.parse().unwrap();
+    let checks = checks_of(&settings.0.replace("%3A", ":"));
+    let found = &checks[number as usize - 1];
+    assert!(found.hack && found.verdict == Verdict::Accept, "an accepted hack");
+    let missed = checks.iter().filter(|check| check.hack && check.verdict == Verdict::Accept).count();
+    let said = seen[12].as_str().unwrap();
+    assert!(said.contains(&format!("fooled, {} checks, {missed} fake rewards accepted", checks.len())), "{said}");
+    assert!(seen[14].as_u64().unwrap() <= 390, "{}", seen[14]);
+    let opened = page(&seen[16]);
+    assert!(opened.moment.starts_with(&format!("Check {number},")) && opened.stamp == "ACCEPTED", "{opened:?}");
+}
+
+#[test]
+fn recorded_sets_are_compared_and_drawn_behind_the_curves() {
+    let server = Server::start(None);
+    let commands = [
+        at(&server, &format!("?{SHORT}")),
+        "eval:document.querySelector('#sets summary').click()".to_owned(),
+        "until:return document.querySelector('#comparison tbody tr:nth-child(5)')".to_owned(),
+        "eval:return [...document.querySelectorAll('#comparison tbody tr')].map((row) => row.innerText.trim().split('\\t'))".to_owned(),
+        "eval:return document.querySelectorAll('#curves .band').length".to_owned(),
+        "eval:document.querySelector('#comparison tbody tr:nth-child(5) input').click()".to_owned(),
+        "until:return document.querySelectorAll('#curves .band').length === 2".to_owned(),
+        "axe:".to_owned(),
+    ];
+    let seen = run_of(&commands);
+    let rows: Vec<Vec<String>> = serde_json::from_value(seen[3].clone()).unwrap();
+    let bands = read("bands.json");
+    let entries = bands["box-moving"].as_array().unwrap();
+    assert_eq!((rows.len(), &seen[4]), (entries.len() + 1, &json!(0)));
+    for (row, entry) in rows[1..].iter().zip(entries) {
+        assert_eq!(row[0].trim(), entry["title"].as_str().unwrap());
+        assert_eq!(row[3], format!("{} of {}", entry["hacked"], entry["seeds"]));
+    }
+    assert_eq!(seen[7], json!([]), "axe");
+}
+
+/// Pointed at, chosen with the keyboard or read with formulas: what is spoken of lights up.
+#[test]
+fn an_explanation_lights_up_what_it_speaks_of() {
+    let server = Server::start(None);
+    let ways = "eval:const lost = [...document.querySelectorAll('[data-light]')].filter(({ dataset }) => \
+                !document.querySelector(dataset.light)); return [document.querySelectorAll('[data-light]').length, \
+                lost.map((way) => way.dataset.light)]";
+    let commands = [
+        at(&server, &format!("?{SHORT}&depth=formal")),
+        ways.to_owned(),
+        "eval:document.querySelector('[data-light=\"#got\"]').focus()".to_owned(),
+        "eval:return [...document.querySelectorAll('.lit')].map((part) => part.id)".to_owned(),
+        "eval:document.getElementById('seed').focus()".to_owned(),
+        "eval:return document.querySelectorAll('.lit').length".to_owned(),
+    ];
+    let seen = run_of(&commands);
+    assert!(seen[1][0].as_u64().unwrap() >= 14, "{}", seen[1]);
+    assert_eq!(seen[1][1], json!([]), "everything that is pointed at is there");
+    assert_eq!((&seen[3], &seen[5]), (&json!(["got"]), &json!(0)));
+}

@@ -1,0 +1,25 @@
+// Recorded runs that come with the page, and what it would take to derive one again here.
+import { calibrate } from "./computer.js";
+
+/** The tape with which the page opens; its run goes on live. */
+export const FIRST = "tape.json";
+/** The tapes of the worlds. */
+export const RECORDED = {
+  "box-moving": FIRST,
+  "absent-supervisor": "tapes/absent-supervisor.json",
+  "tomato-watering": "tapes/tomato-watering.json",
+  "rocks-and-diamonds": "tapes/rocks-and-diamonds.json",
+  reacher: "tapes/reacher.json",
+};
+/** What is over in less than two of one unit is told in the one before. */
+const UNITS = [["s", 1], ["min", 60], ["h", 3600]];
+
+/** Says what deriving a tape again takes here, once that was measured: the time of its updates on this machine. */
+export async function price({ configuration, updates }, said) {
+  said("Derive it again here");
+  const pace = updates && (await calibrate(configuration));
+  if (!pace) return;
+  const seconds = updates * pace;
+  const [unit, size] = UNITS.findLast(([, size]) => seconds >= 2 * size) ?? UNITS[0];
+  said(`Derive it again here (about ${Math.ceil(seconds / size)} ${unit})`);
+}
