@@ -635,7 +635,10 @@ async function fetchTape(address) {
     .catch((error) => ({ why: error.message }));
   // Something else may have been opened meanwhile.
   if (run !== mine) return;
-  if (got.text !== undefined && openTape(got.text, address)) return;
+  if (got.text !== undefined && openTape(got.text, address)) {
+    await painted();
+    return performance.mark("first-frame");
+  }
   link.forget();
   begin(got.why ? `tape: ${address} cannot be loaded, ${got.why}.` : element("error").textContent);
 }

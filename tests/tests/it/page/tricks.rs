@@ -12,6 +12,7 @@ use super::{at, checks_of, drive, page};
 
 /// Settings of a short run with checks.
 const SHORT: &str = "seed=3&safe_steps=300&full_steps=100&epsilon_decay=100&forecast=50&evaluations=2&rollouts=2";
+const TOLD: &str = "until:return performance.getEntriesByName('verdict').length > 0";
 const DONE: &str = "until:return document.getElementById('status').textContent.startsWith('Done')";
 
 /// The tapes that the page offers, by their place under `www`.
@@ -65,7 +66,8 @@ fn every_limit_with_a_link_shows_a_wrong_decision() {
     for link in links {
         let (name, number) = link.strip_prefix("?tape=").unwrap().split_once("&check=").unwrap();
         let tape = read(name);
-        let check = tape["checks"].as_array().unwrap().iter().find(|check| check["number"].to_string() == number);
+        let check =
+            tape["checks"].as_array().unwrap().iter().find(|check| check["number"].as_u64() == number.parse().ok());
         let check = check.unwrap_or_else(|| panic!("{name} has check {number}"));
         assert_eq!(check["hack"] == json!(true), check["verdict"] == "accept", "{link}: the decision is wrong");
     }
@@ -184,4 +186,72 @@ fn an_explanation_lights_up_what_it_speaks_of() {
     assert!(seen[1][0].as_u64().unwrap() >= 14, "{}", seen[1]);
     assert_eq!(seen[1][1], json!([]), "everything that is pointed at is there");
     assert_eq!((&seen[3], &seen[5]), (&json!(["got"]), &json!(0)));
+}
+
+/// A newcomer's way: the refusal is told, a trap is set and judged, with whatever they have.
+struct Walk {
+    name: &'static str,
+    width: u32,
+    dark: bool,
+    reduced: bool,
+    keyboard: bool,
+}
+
+#[test]
+fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
+    let walks = [
+        Walk { name: "desktop", width: 1440, dark: false, reduced: false, keyboard: false },
+        Walk { name: "phone, dark", width: 390, dark: true, reduced: false, keyboard: false },
+        Walk { name: "keyboard alone, dark", width: 1440, dark: true, reduced: false, keyboard: true },
+        Walk { name: "phone, reduced motion, keyboard", width: 390, dark: false, reduced: true, keyboard: true },
+    ];
+    let server = Server::start(None);
+    for walk in walks {
+        let press = |id: &str| {
+            if walk.keyboard {
+                vec![focus(id), "keys:Enter".to_owned()]
+            } else {
+                vec![format!("eval:document.getElementById('{id}').click()")]
+            }
+        };
+        let media = json!({ "features": [
+            { "name": "prefers-color-scheme", "value": if walk.dark { "dark" } else { "light" } },
+            { "name": "prefers-reduced-motion", "value": if walk.reduced { "reduce" } else { "no-preference" } },
+        ] });
+        let mut commands = vec![width(walk.width), format!("cdp:Emulation.setEmulatedMedia {media}")];
+        commands.push(format!("go:{}", at(&server, "")));
+        if walk.reduced {
+            // Nothing moves: the reader turns the pages, then lets the run go.
+            commands.push("until:return document.getElementById('stage').textContent.startsWith('1 of 6')".into());
+            commands.extend((0..5).flat_map(|_| press("forward")));
+            commands.push("until:return !document.getElementById('start').hidden".into());
+            commands.extend(press("start"));
+        } else {
+            commands.push(TOLD.into());
+        }
+        let read = "eval:return ['stamp', 'margin', 'truth'].map((id) => document.getElementById(id).textContent)";
+        commands.extend([read.to_owned(), "until:return !document.getElementById('trap-start').hidden".into()]);
+        let told = commands.len() - 2;
+        commands.extend(press("trap-start"));
+        commands.push("until:return document.activeElement.id === 'trap-cells-bait'".into());
+        if walk.keyboard {
+            commands.push(format!("keys:{},Enter", ["Tab"; 10].join(",")));
+        } else {
+            commands.push("eval:document.querySelectorAll('#trap-cells .cell')[9].click()".into());
+        }
+        commands.push("until:return location.search.includes('trap=9')".into());
+        commands.extend([DONE.into(), text("trap-status"), "axe:".into()]);
+        let heard = commands.len() - 2;
+        commands.push("eval:return document.documentElement.scrollWidth".into());
+        let seen = run_of(&commands);
+        let [stamp, margin, truth]: [String; 3] = serde_json::from_value(seen[told].clone()).unwrap();
+        assert_eq!(stamp, "REFUSED", "{}", walk.name);
+        assert!(margin.starts_with("Learning from it would make the future worse"), "{}: {margin}", walk.name);
+        assert!(truth.contains("the rest is fake"), "{}: {truth}", walk.name);
+        let said = seen[heard].as_str().unwrap();
+        let hacked = said.contains("Ordinary learner: ") && said.contains(", hacked.") && said.ends_with("not hacked.");
+        assert!(said.starts_with("A trap in row 5, column 2 pays +5.") && hacked, "{}: {said}", walk.name);
+        assert_eq!(seen[heard + 1], json!([]), "{}: axe", walk.name);
+        assert!(seen[heard + 2].as_u64().unwrap() <= u64::from(walk.width), "{}: {}", walk.name, seen[heard + 2]);
+    }
 }
