@@ -1,10 +1,11 @@
-//! Automation of the repository: `cargo xtask setup|demo|web|pictures|figures|test|bench`.
+//! Automation of the repository: `cargo xtask setup|demo|web|tapes|pictures|figures|test|bench`.
 
 mod demo;
 mod mujoco;
 mod page;
 mod process;
 mod setup;
+mod tapes;
 mod test;
 mod web;
 
@@ -39,6 +40,12 @@ enum Command {
     Web,
     /// Take the pictures of the page in docs/page anew
     Pictures,
+    /// Record the tapes that come with the page anew: www/tape.json and www/tapes
+    Tapes {
+        /// Only these, as they lie under www, without the ending
+        #[arg(value_name = "NAME")]
+        names: Vec<String>,
+    },
     /// Measure the page's figures in a browser: first frame, first refusal, verdicts, long tasks
     Figures,
     /// Set up, check and test everything: what continuous integration runs
@@ -53,6 +60,7 @@ fn main() -> ExitCode {
         Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
         Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
         Command::Pictures => page::pictures(),
+        Command::Tapes { names } => tapes::record(&names),
         Command::Figures => page::figures(),
         Command::Test => test::test(),
         Command::Bench => process::run(process::cargo().args(["bench", "--package", "mcvl-core"])),

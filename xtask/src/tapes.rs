@@ -1,0 +1,101 @@
+//! Records the tapes that come with the page: trains their runs and writes the decisions they show.
+
+use anyhow::{Result, bail};
+
+use crate::mujoco;
+use crate::process::{cargo, command, program, root, run};
+
+/// A tape of the page, and the run that it is from.
+struct Recording {
+    name: &'static str,
+    env: &'static str,
+    /// What differs from the paper's setting of the world, as arguments of `mcvl train`.
+    settings: &'static [&'static str],
+    seed: u64,
+    /// The checks that the tape has.
+    checks: &'static [u32],
+}
+
+/// One of every world, and what goes wrong. All are quick but those of the larger worlds, which take up to an hour.
+const RECORDINGS: &[Recording] = &[
+    Recording { name: "tape", env: "box-moving", settings: &[], seed: 0, checks: &[2] },
+    Recording {
+        name: "tapes/rocks-and-diamonds",
+        env: "rocks-and-diamonds",
+        settings: &[],
+        seed: 3,
+        checks: &[1, 3, 7, 8, 150],
+    },
+    Recording {
+        name: "tapes/reacher",
+        env: "reacher",
+        settings: &["--preset", "small", "--set", "physics=closed-form"],
+        seed: 0,
+        checks: &[3, 5],
+    },
+    Recording { name: "tapes/late-hack", env: "rocks-and-diamonds", settings: &[], seed: 2, checks: &[4, 17, 189] },
+    Recording {
+        name: "tapes/short-forecast",
+        env: "box-moving",
+        settings: &["--set", "forecast=100"],
+        seed: 2,
+        checks: &[24, 39, 41],
+    },
+    Recording {
+        name: "tapes/short-rollouts",
+        env: "box-moving",
+        settings: &["--set", "rollout_steps=1"],
+        seed: 8,
+        checks: &[22, 23],
+    },
+    Recording {
+        name: "tapes/no-reset",
+        env: "box-moving",
+        settings: &["--set", "reset_on_refusal=false"],
+        seed: 1,
+        checks: &[4, 12],
+    },
+    Recording {
+        name: "tapes/no-upbringing",
+        env: "box-moving",
+        settings: &["--set", "safe_steps=0"],
+        seed: 0,
+        checks: &[7, 41],
+    },
+    Recording {
+        name: "tapes/wrong-refusal",
+        env: "box-moving",
+        settings: &["--set", "variant=no-inconsistency"],
+        seed: 1,
+        checks: &[2, 60],
+    },
+];
+
+/// Records the tapes of these names anew, or all; a run that is there is continued.
+pub fn record(names: &[String]) -> Result<()> {
+    let known: Vec<&str> = RECORDINGS.iter().map(|recording| recording.name).collect();
+    if let Some(name) = names.iter().find(|name| !known.contains(&name.as_str())) {
+        bail!("{name}: no such tape; there are {}", known.join(", "));
+    }
+    run(cargo().args(["build", "--release", "--package", "mcvl-native"]).args(mujoco::features()))?;
+    let wanted = |recording: &&Recording| names.is_empty() || names.iter().any(|name| name == recording.name);
+    for recording in RECORDINGS.iter().filter(wanted) {
+        let folder = root().join("runs/tapes").join(recording.name.replace('/', "-"));
+        let mut train = command(program("release", "mcvl"));
+        if folder.exists() {
+            train.args(["train", "--resume", "-o"]).arg(&folder);
+        } else {
+            train.args(["train", recording.env, "--seed", &recording.seed.to_string(), "-o"]).arg(&folder);
+            train.args(recording.settings);
+        }
+        run(&mut train)?;
+        let mut export = command(program("release", "mcvl"));
+        export.arg("export").arg(&folder).args(["--to", "tape", "--overwrite", "-o"]);
+        export.arg(root().join("www").join(recording.name).with_extension("json"));
+        for check in recording.checks {
+            export.args(["--check", &check.to_string()]);
+        }
+        run(&mut export)?;
+    }
+    Ok(())
+}
