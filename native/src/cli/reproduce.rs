@@ -433,7 +433,7 @@ impl Folder {
             written.push(path.display().to_string());
         }
         for drawing in DRAWINGS {
-            if !experiments.iter().any(|experiment| experiment.target == drawing.name) {
+            if !experiments.iter().any(|experiment| experiment.target == drawing.target) {
                 continue;
             }
             let Some(figure) = drawing.draw(records, arguments.quick) else { continue };

@@ -38,11 +38,11 @@ pub fn markdown(results: &Results, figures: &str) -> String {
 }
 
 fn heading(text: &mut String, target: &str, figures: &str, results: &Results) {
-    let drawing = DRAWINGS.iter().find(|drawing| drawing.name == target);
-    let title = drawing.map_or("Claims without a figure", |drawing| drawing.title);
+    let own: Vec<_> = DRAWINGS.iter().filter(|drawing| drawing.target == target).collect();
+    let title = own.first().map_or("Claims without a figure", |drawing| drawing.title);
     let _ = writeln!(text, "\n## {title}");
     let seen = |cell: &str| results.costs.iter().any(|cost| cost.cell == cell);
-    if let Some(drawing) = drawing.filter(|drawing| drawing.cells().iter().any(|cell| seen(cell.name))) {
+    for drawing in own.into_iter().filter(|drawing| drawing.cells().iter().any(|cell| seen(cell.name))) {
         let _ = writeln!(text, "\n![{}]({figures}/{}.svg)", drawing.title, drawing.name);
     }
 }

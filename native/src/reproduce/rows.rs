@@ -278,18 +278,20 @@ pub fn judge(experiments: &[&Experiment], records: &BTreeMap<String, Record>, qu
     }
 }
 
-/// The row of a world: of the cell that has nothing but the world's own values.
+/// The row of a world: of the cell that has nothing but the world's own values, or of its twin whose reward model
+/// stays alive.
 fn world(record: &Record) -> Option<WorldRow> {
     let summary = record.summary.as_ref()?;
     let config: mcvl_core::config::Config = record.config.parse().ok()?;
     let verdicts = summary.verdicts?;
-    let main = ["fig3", "fig3e"]
-        .iter()
-        .flat_map(|target| super::table::find(target))
-        .any(|experiment| experiment.cells()[0].name == record.cell);
+    let alive = record.cell.ends_with(ALIVE);
+    let main = ["fig3", "fig3e"].iter().flat_map(|target| super::table::find(target)).any(|experiment| {
+        let cells = experiment.cells();
+        cells[0].name == record.cell || alive && cells.iter().any(|cell| cell.name == record.cell)
+    });
     let dead = |arm: Arm| record.arm(arm)?.dead_units;
     main.then(|| WorldRow {
-        world: config.experiment().title.to_owned(),
+        world: format!("{}{}", config.experiment().title, if alive { ", alive" } else { "" }),
         cell: record.cell.clone(),
         seeds: record.seeds().len(),
         verdicts,
@@ -372,7 +374,8 @@ impl Results {
                 let dead =
                     row.dead_units.map(|share| share.map_or("–".to_owned(), |s| format!("{:.0} %", 100.0 * s)));
                 text += &line([
-                    &row.world,
+                    // A twin stands below its world.
+                    if row.cell.ends_with(ALIVE) { "  reward model alive" } else { &row.world },
                     &format!("{:.1}", row.verdicts.checks as f64 / row.seeds.max(1) as f64),
                     &percent(row.rate),
                     &percent(row.precision),
@@ -442,6 +445,9 @@ impl Results {
         text
     }
 }
+
+/// Ending of the names of cells whose reward model stays alive.
+const ALIVE: &str = "-alive";
 
 /// What has to be said of a quick set.
 pub const QUICK: &str = "Quick: fewer seeds than the paper's ten, and in Absent Supervisor, Tomato Watering and \
