@@ -1,5 +1,6 @@
 // Every scheme and baseline in ten recorded seeds: a table, and the band of one of them behind the curves.
 import { element, LEARNERS, make, number } from "./dom.js";
+import * as files from "./files.js";
 
 const PLACE = element("comparison");
 let loaded = null;
@@ -8,7 +9,7 @@ let chosen = null;
 
 /** Shows what was recorded of a world; `choose(entry)` hears whose band is to be drawn, null for none. */
 export async function compare(world, choose) {
-  loaded ??= fetch("bands.json").then((response) => response.json());
+  loaded ??= files.get("bands.json").then((response) => response.json());
   const entries = await loaded.then((all) => all[world] ?? [], () => null);
   if (!entries?.length) {
     PLACE.replaceChildren(make("p", entries ? "No set of ten seeds of this world comes with the page." : "The recorded sets could not be loaded."));

@@ -1,5 +1,5 @@
 // The worker that computes: hired when there is something to compute, so that the page is drawn first.
-import { MODULE } from "./module.js";
+import * as files from "./files.js";
 
 let worker = null;
 let receive = {};
@@ -11,6 +11,7 @@ let ticket = 0;
 
 /** What keeps this browser from computing, as a message for people; empty where nothing does. */
 export function lack() {
+  if (files.lack) return files.lack;
   const missing = [
     ["WebAssembly", typeof WebAssembly],
     ["web workers", typeof Worker],
@@ -71,7 +72,7 @@ export function tell(message) {
 }
 
 function hire() {
-  const hired = new Worker("worker.js", { type: "module" });
+  const hired = files.hire("worker.js");
   hired.onmessage = ({ data }) => {
     if (data.kind === "judged") judged(data.complaint);
     else if (data.kind === "calibrated") calibrated(data.pace);
@@ -87,10 +88,4 @@ function hire() {
     receive.failed({ message });
   };
   return hired;
-}
-
-/** Keeps the page, with the module that this browser takes, for visits without a network. */
-export function keepOffline() {
-  // Without permission or a secure context the page needs its host, as any page does.
-  navigator.serviceWorker?.register(`sw.js?module=${MODULE}`).catch(() => {});
 }

@@ -20,8 +20,12 @@ const VIEW = {
 };
 const FIRST = "box-moving";
 
+/** Whether the page has no address: it came with another file, in a frame. */
+const FRAMED = location.protocol === "about:";
+/** The address, or what a page in one file begins with. */
+const asked = () => new URLSearchParams(location.search || document.documentElement.dataset.link);
 /** What the link says, as far as it is sound. */
-let query = new URLSearchParams(location.search);
+let query = asked();
 
 /**
  * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view;
@@ -39,7 +43,7 @@ export function read() {
 
 /** The address of this view; what was malformed is not in it. */
 export function address() {
-  return new URL(`?${query}`, location.href);
+  return new URL(`?${query}`, document.baseURI);
 }
 
 /** The configuration text that the link would have with these changes. */
@@ -59,16 +63,17 @@ export function forget() {
 
 /** Follows a link of the page; without one, the address that the browser went back to. False where nothing is new. */
 export function follow(to) {
+  if (FRAMED) return false;
   if (to) history.pushState(null, "", to);
   const before = query;
-  query = new URLSearchParams(location.search);
+  query = asked();
   return String(query) !== String(before);
 }
 
 /** Changes keys of the link; a default or a null takes the key away. */
 export function write(changes) {
   change(changes);
-  history.replaceState(null, "", `?${query}`);
+  if (!FRAMED) history.replaceState(null, "", `?${query}`);
 }
 
 function change(changes) {

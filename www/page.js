@@ -4,6 +4,7 @@ import * as computer from "./computer.js";
 import * as controls from "./controls.js";
 import { curves } from "./curves.js";
 import { element, LEARNERS, make, number, parted, say } from "./dom.js";
+import * as files from "./files.js";
 import { player } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
@@ -28,7 +29,7 @@ const REST = 2500;
 const OPENING = 5;
 
 /** The recorded refusal, asked for before anything else. */
-const recorded = fetch(FIRST).then((response) => response.text());
+const recorded = files.get(FIRST).then((response) => response.text());
 // Without it the live run shows the first refusal.
 recorded.catch(() => {});
 
@@ -93,7 +94,7 @@ async function begin(complaint = "", first = false) {
   element("header").classList.toggle("unseen", view.embed === "1");
   clear();
   const mine = run;
-  if (first) computer.keepOffline();
+  if (first) files.keepOffline(MODULE);
   const recording = first && !text ? (RECORDED[found.plain] ?? null) : null;
   if (recording === FIRST) await introduce();
   else if (recording) put({ tape: recording });
@@ -630,7 +631,7 @@ function openTape(text, name) {
 async function fetchTape(address) {
   const mine = run;
   element("status").textContent = "Loading the tape.";
-  const got = await fetch(address)
+  const got = await files.get(address)
     .then(async (response) => (response.ok ? { text: await response.text() } : { why: `this site answers ${response.status}` }))
     .catch((error) => ({ why: error.message }));
   // Something else may have been opened meanwhile.

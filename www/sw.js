@@ -13,6 +13,7 @@ const FILES = [
   "curves.js",
   "dom.js",
   "drive.js",
+  "files.js",
   "film.js",
   "ledger.js",
   "link.js",

@@ -1,6 +1,7 @@
 // Computes a run in slices, away from the page: polls, collects what the run says, and reports a few times
 // per second. Checks are kept whole, with their films, for the page to ask for one. Everything that is
 // decided is decided in the module.
+import * as files from "./files.js";
 import { MODULE } from "./module.js";
 import { summarise } from "./record.js";
 
@@ -114,8 +115,8 @@ const loaded = load();
 loaded.catch(() => {});
 
 async function load() {
-  const module = await import(`./pkg/${MODULE}.js`);
-  await module.default({ module_or_path: new URL(`pkg/${MODULE}_bg.wasm`, import.meta.url) });
+  const module = await files.load(`pkg/${MODULE}.js`);
+  await module.default({ module_or_path: files.get(`pkg/${MODULE}_bg.wasm`) });
   const { Run, Drive, readToken, untrained } = module;
   return { Run, Drive, readToken, untrained, experiments: JSON.parse(module.experiments()) };
 }

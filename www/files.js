@@ -1,0 +1,20 @@
+// How the page comes to its own files: they lie beside it. A page that is one file brings a module of the same
+// name that takes them from there.
+
+/** Why nothing can be computed with these files; empty where all are there. */
+export const lack = "";
+
+/** The module of a file. */
+export const load = (name) => import(`./${name}`);
+
+/** The content of a file, as a response. */
+export const get = (name) => fetch(name);
+
+/** A worker that runs a file. */
+export const hire = (name) => new Worker(name, { type: "module" });
+
+/** Keeps the page, with the module that this browser takes, for visits without a network. */
+export function keepOffline(module) {
+  // Without permission or a secure context the page needs its host, as any page does.
+  navigator.serviceWorker?.register(`sw.js?module=${module}`).catch(() => {});
+}
