@@ -5,6 +5,7 @@ mod bench;
 mod doctor;
 mod export;
 mod inspect;
+mod page;
 mod play;
 mod progress;
 mod replay;
@@ -93,6 +94,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Serve the page to this machine's browser, with a run on it
     Serve(serve::ServeArgs),
+    /// Write the page, with a run on it, as one HTML file that opens from disk
+    Page(page::PageArgs),
     /// Measure updates, forecasts, checks and steps per second
     Bench(bench::BenchArgs),
     /// Say what this machine offers and whether its arithmetic is exact
@@ -177,6 +180,7 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
         Command::Play(arguments) => play::play(&arguments, terminal),
         Command::Export(arguments) => export::export(&arguments, terminal),
         Command::Serve(arguments) => serve::serve(&arguments, terminal),
+        Command::Page(arguments) => page::page(&arguments, terminal),
         Command::Bench(arguments) => bench::bench(&arguments, terminal),
         Command::Doctor(arguments) => doctor::doctor(&arguments, terminal),
         Command::Completions { shell } => {

@@ -68,13 +68,13 @@ pub fn serve(arguments: &ServeArgs, terminal: &mut Terminal) -> anyhow::Result<D
 }
 
 /// The run that is served, and the seed that the page opens with.
-struct Shown {
-    run: RunDir,
-    seed: u64,
+pub(super) struct Shown {
+    pub(super) run: RunDir,
+    pub(super) seed: u64,
 }
 
 impl Shown {
-    fn find(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn find(path: &Path) -> anyhow::Result<Self> {
         let place = Place::find(path)?;
         let plan = Plan::read(&place.run)?;
         let seed = place.seed.unwrap_or(plan.seeds[0]);

@@ -16,7 +16,7 @@ const EXPORTS: &str = "export";
 
 /// Files that training and reports write at the top of a run directory.
 const OWN_FILES: &[&str] =
-    &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", "report.html", ".lock"];
+    &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", "report.html", "page.html", ".lock"];
 
 impl RunDir {
     /// The directory at `path`, which need not exist.
@@ -47,6 +47,11 @@ impl RunDir {
     /// Learning curves: as SVG with `svg`, as PNG with `png`.
     pub fn curves(&self, extension: &str) -> PathBuf {
         self.0.join("curves").with_extension(extension)
+    }
+
+    /// The page with this run on it, as one file.
+    pub fn page(&self) -> PathBuf {
+        self.0.join("page.html")
     }
 
     /// Folder of an export that names no other place.
