@@ -5,10 +5,11 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use mcvl::page::{self, Modules, Tape};
 use mcvl::report::claims::Summary;
 use mcvl::report::expression::Expression;
 use mcvl::report::{html, plot};
-use mcvl::runs::{Manifest, RunDir, RunSet, SeedRun, tape, write_atomic};
+use mcvl::runs::{Manifest, Place, RunDir, RunSet, RunsError, SeedRun, run_tape, tape, write_atomic};
 use serde_json::json;
 
 use super::terminal::Terminal;
@@ -100,7 +101,10 @@ fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<RunSet>> {
 #[command(after_help = "\
 Examples:
   mcvl report runs/box-moving
-  mcvl report runs/* -o all.html")]
+  mcvl report runs/* -o all.html
+  mcvl report runs/box-moving --modules www/pkg
+
+The decisions of one seed of each run can be played in the report.")]
 pub struct ReportArgs {
     /// Run directories
     #[arg(required = true, value_name = "RUN")]
@@ -108,6 +112,10 @@ pub struct ReportArgs {
     /// The file [default: report.html in the first run directory]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Folder of the modules of `cargo xtask web`, with which a visitor can
+    /// derive the played decisions again [default: none]
+    #[arg(long, value_name = "FOLDER", verbatim_doc_comment)]
+    modules: Option<PathBuf>,
 }
 
 /// Writes a report, with its curves beside it.
@@ -127,7 +135,15 @@ pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result
             }
         }
     };
-    let page = html::html(&sets, &film);
+    let modules = arguments.modules.as_deref().map(Modules::read).transpose()?;
+    let page = |seed: &SeedRun, number: u32| match playable(seed, number, modules.as_ref()) {
+        Ok(page) => page,
+        Err(error) => {
+            damaged.borrow_mut().get_or_insert(error);
+            None
+        }
+    };
+    let page = html::html(&sets, &film, &page);
     if let Some(error) = damaged.into_inner() {
         return Err(error.into());
     }
@@ -148,6 +164,18 @@ pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result
         }
     }
     Ok(Done::Well)
+}
+
+/// The page in one file that opens at a check of a seed; none where its tape was not kept.
+fn playable(seed: &SeedRun, number: u32, modules: Option<&Modules>) -> Result<Option<String>, RunsError> {
+    let kept = |other| seed.dir().tape(other).exists();
+    if !kept(number) {
+        return Ok(None);
+    }
+    let run = Place::find(&seed.path)?.run;
+    let wanted = |other| (other == number || other <= html::PLAYED) && kept(other);
+    let tape = Tape { name: format!("run/seed-{}.json", seed.seed), text: run_tape(&run, seed.seed, &wanted)? };
+    Ok(Some(page::embedded(modules, &tape, number)))
 }
 
 /// Writes the learning curves of a run as SVG and PNG.

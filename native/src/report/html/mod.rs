@@ -1,10 +1,13 @@
-//! The report page: one HTML file that opens from disk, without script and without any request.
+//! The report page: one HTML file that opens from disk, without any request. Only the frames in which decisions play
+//! need scripts.
 //!
 //! It tells the outcome first, then the evidence, then what went wrong with the same room, then every
 //! decision, then how to get the same numbers again. Everything that comes from a run is escaped.
 
 mod ledger;
 mod story;
+
+pub use story::PLAYED;
 
 use std::fmt::Write as _;
 
@@ -16,11 +19,15 @@ use super::claims::{ArmSummary, Claim, Outcome, SeedEnd, Summary, learner, perce
 use super::plot::{Figure, Layout, curves, sweep};
 use super::statistics::Estimate;
 use super::svg::{self, escape};
+use crate::page;
 use crate::runs::{RunSet, SeedRun};
 use crate::worlds;
 
 /// Reads the film of a check (by its number) of a seed, where a tape holds it.
 pub type Films<'a> = &'a dyn Fn(&SeedRun, u32) -> Option<CheckRecord>;
+
+/// Makes the page in one file that opens at a check (by its number) of a seed.
+pub type Pages<'a> = &'a dyn Fn(&SeedRun, u32) -> Option<String>;
 
 /// Shapes that stand beside words: an octagon to stop, a tick, a triangle to warn, a ring.
 const SHAPES: &str = "<svg width=\"0\" height=\"0\" style=\"position:absolute\" aria-hidden=\"true\"><defs>\
@@ -33,14 +40,23 @@ const SHAPES: &str = "<svg width=\"0\" height=\"0\" style=\"position:absolute\" 
 /// Allows what the page brings itself and nothing else: a report cannot call home.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
 
-/// The report on one or more run directories. Films are asked for where one is shown.
-pub fn html(sets: &[RunSet], films: Films<'_>) -> String {
+/// The report on one or more run directories. Films are asked for where one is shown, and a page for every run that
+/// has something to play.
+pub fn html(sets: &[RunSet], films: Films<'_>, pages: Pages<'_>) -> String {
     let summaries: Vec<Summary> = sets.iter().map(Summary::new).collect();
+    let several = sets.len() > 1;
+    let runs = sets.iter().zip(&summaries);
+    let sections: String = runs.map(|(set, summary)| section(set, summary, films, pages, several)).collect();
+    // A frame does what its document allows, and no more.
+    let (frames, scripts) = match sections.contains("<iframe ") {
+        true => (format!("; {}", page::policy()), "and only its frames run scripts"),
+        false => (String::new(), "and no script"),
+    };
     let title = summaries.first().map_or("no runs".into(), |summary| format!("{}: report", summary.title));
-    let mut page = format!(
+    let mut out = format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n<title>{}</title>\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}{frames}\">\n<title>{}</title>\n\
          <style>\n:root{{color-scheme:light dark;{}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{}}}}}\n{}\n{}</style>\n\
          </head>\n<body>\n{SHAPES}",
         escape(&title),
@@ -49,13 +65,13 @@ pub fn html(sets: &[RunSet], films: Films<'_>) -> String {
         svg::style(),
         include_str!("style.css"),
     );
-    page += &opening(sets, &summaries);
-    page += "<main>\n";
-    for (set, summary) in sets.iter().zip(&summaries) {
-        page += &section(set, summary, films, sets.len() > 1);
-    }
-    page += "</main>\n<footer><p>Written by <code>mcvl report</code>. This file needs no network and no script.</p></footer>\n";
-    page + "</body>\n</html>\n"
+    out += &opening(sets, &summaries);
+    let _ = write!(
+        out,
+        "<main>\n{sections}</main>\n<footer><p>Written by <code>mcvl report</code>. This file needs no network \
+         {scripts}.</p></footer>\n</body>\n</html>\n"
+    );
+    out
 }
 
 /// The top of the page: the outcome in one sentence; for several runs, the comparison.
@@ -93,7 +109,7 @@ fn headline(summary: &Summary, level: &str) -> String {
 }
 
 /// Everything about one run directory.
-fn section(set: &RunSet, summary: &Summary, films: Films<'_>, several: bool) -> String {
+fn section(set: &RunSet, summary: &Summary, films: Films<'_>, pages: Pages<'_>, several: bool) -> String {
     let experiment = set.config.experiment();
     let facts = worlds::spec(&set.config);
     let mut out = String::from("<section class=\"set\">\n");
@@ -110,6 +126,7 @@ fn section(set: &RunSet, summary: &Summary, films: Films<'_>, several: bool) -> 
     out += &claims(summary);
     out += &results(summary);
     out += &story::example(set, &facts, films);
+    out += &story::play(set, films, pages);
     out += &story::failures(set, summary, &facts, films);
     out += &ledger::ledger(set, &facts);
     out += &reproduce(set);

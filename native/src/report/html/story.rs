@@ -5,19 +5,21 @@ use std::fmt::Write as _;
 use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Subject, Verdict};
 
-use super::{Films, action, tag};
+use super::{Films, Pages, action, name, tag};
+use crate::page;
 use crate::report::claims::{SeedEnd, Summary, plural, seed_list};
 use crate::report::film::{self, Part};
 use crate::report::svg::escape;
 use crate::runs::{RunSet, SeedRun};
 
+/// Decisions of a seed that can be played in a report, besides the one that is told: some hundred kilobytes.
+pub const PLAYED: u32 = 200;
 /// Wrong decisions that are told one by one before the ledger has to do.
 const TOLD: usize = 5;
 
 /// A worked example: the first refused hack of which there is a film, else the first that was refused.
 pub(super) fn example(set: &RunSet, facts: &EnvSpec, films: Films<'_>) -> String {
-    let refused = |check: &&CheckRecord| check.verdict == Verdict::Refuse && check.hack;
-    let Some((seed, check)) = filmed(set, films, refused).or_else(|| first(set, refused)) else {
+    let Some((seed, check)) = exemplary(set, films) else {
         return "<h2>One decision, step by step</h2>\n<p>No hack was refused in these runs.</p>\n".into();
     };
     format!(
@@ -26,6 +28,34 @@ pub(super) fn example(set: &RunSet, facts: &EnvSpec, films: Films<'_>) -> String
         seed.seed,
         check.step,
         story(&check, facts)
+    )
+}
+
+/// The refused hack that stands for all.
+fn exemplary<'a>(set: &'a RunSet, films: Films<'_>) -> Option<(&'a SeedRun, CheckRecord)> {
+    let refused = |check: &&CheckRecord| check.verdict == Verdict::Refuse && check.hack;
+    filmed(set, films, refused).or_else(|| first(set, refused))
+}
+
+/// The decisions of the seed of the example, else of the first seed that made any, to be played. The page is in a frame
+/// that does nothing before it comes into view.
+pub(super) fn play(set: &RunSet, films: Films<'_>, pages: Pages<'_>) -> String {
+    let chosen = exemplary(set, films).or_else(|| first(set, |_| true));
+    let Some((seed, page)) = chosen.and_then(|(seed, check)| Some((seed, pages(seed, check.number)?))) else {
+        return String::new();
+    };
+    let decisions = match seed.checks.len() {
+        many if many > PLAYED as usize => format!("the first {PLAYED} of {many} decisions"),
+        all => plural(all as u64, "decision"),
+    };
+    format!(
+        "<details class=\"play\"><summary>Play it <span>{decisions} of seed {}, step by step</span></summary>\n\
+         <iframe title=\"{}: the decisions of seed {}, to play\" loading=\"lazy\" sandbox=\"allow-scripts allow-forms\" \
+         srcdoc=\"{}\"></iframe></details>\n",
+        seed.seed,
+        escape(&name(set)),
+        seed.seed,
+        page::escape(&page)
     )
 }
 

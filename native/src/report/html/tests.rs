@@ -7,10 +7,14 @@ use crate::report::samples::{self, Outcome as Ending};
 
 /// The page of some runs, with a film for every check.
 fn page(sets: &[RunSet]) -> String {
-    html(sets, &|seed, number| {
-        let check = seed.checks.iter().find(|check| check.number == number)?;
-        Some(samples::check(number, check.hack, check.verdict))
-    })
+    html(
+        sets,
+        &|seed, number| {
+            let check = seed.checks.iter().find(|check| check.number == number)?;
+            Some(samples::check(number, check.hack, check.verdict))
+        },
+        &|_, _| None,
+    )
 }
 
 #[test]
@@ -52,6 +56,35 @@ fn nothing_is_fetched_and_nothing_runs() {
 }
 
 #[test]
+fn decisions_play_in_a_frame_that_can_do_no_more_than_its_document() {
+    let asked = std::cell::RefCell::new(Vec::new());
+    let pages = |seed: &SeedRun, number: u32| {
+        asked.borrow_mut().push((seed.seed, number));
+        Some("<p title=\"a & b\">".to_owned())
+    };
+    let mut plain = samples::set(&[Ending::Stuck]);
+    plain.seeds[0].checks.clear();
+    let sets = [samples::ten(), plain];
+    let page = html(&sets, &|_, _| None, &pages);
+    let told = sets[0].seeds.iter().find_map(|seed| {
+        let refused = |check: &&CheckRecord| check.hack && check.verdict == Verdict::Refuse;
+        Some((seed.seed, seed.checks.iter().find(refused)?.number))
+    });
+    assert_eq!(asked.take(), [told.unwrap()], "a run without checks has nothing to play");
+    assert_eq!(page.matches("<iframe ").count(), 1);
+    assert!(page.contains("sandbox=\"allow-scripts allow-forms\" srcdoc=\"&lt;p title=&quot;a &amp; b&quot;>\""));
+    assert!(page.contains(&format!("{POLICY}; {}", page::policy())) && page.contains("only its frames run scripts"));
+    let [mut long, _] = sets.clone();
+    let check = long.seeds[0].checks[0].clone();
+    long.seeds.iter_mut().for_each(|seed| seed.checks = vec![check.clone(); 300]);
+    assert!(
+        html(&[long], &|_, _| None, &pages).contains("<span>the first 200 of 300 decisions of seed 0, step by step")
+    );
+    let silent = html(&sets, &|_, _| None, &|_, _| None);
+    assert!(!silent.contains("<iframe ") && !silent.contains("script-src") && silent.contains("and no script"));
+}
+
+#[test]
 fn names_cannot_break_out() {
     let mut set = samples::set(&[Ending::Intended]);
     set.path = "runs/<img onerror=\"x\">".into();
@@ -84,7 +117,7 @@ fn the_commands_name_what_differs() {
 #[test]
 fn runs_without_films_checks_or_seeds_are_reported_too() {
     let mut set = samples::set(&[Ending::Missed]);
-    assert!(html(std::slice::from_ref(&set), &|_, _| None).contains("not kept in this ledger"));
+    assert!(html(std::slice::from_ref(&set), &|_, _| None, &|_, _| None).contains("not kept in this ledger"));
     set.seeds[0].checks.clear();
     assert!(page(std::slice::from_ref(&set)).contains("nothing to decide"));
     set.seeds.clear();
