@@ -7,6 +7,7 @@
 //   keys:NAME,NAME,...      types keys: Tab, Enter, Space, Comma and the others in KEYS, or a character
 //   cdp:COMMAND JSON        a command of the DevTools protocol
 //   shot:FILE               writes what is visible, as its ending says (png, webp); full:FILE the whole page
+//   frame:SELECTOR          goes on in this frame of the page; without one, in the page again
 //   axe:                    runs axe and gives its violations
 //   kill:PID                ends a process
 //
@@ -156,6 +157,10 @@ async function drive(port, commands) {
     },
     shot: (file) => shoot(file, false),
     full: (file) => shoot(file, true),
+    frame: async (selector) => {
+      const found = selector && (await session("element", { using: "css selector", value: selector }));
+      await session("frame", { id: found || null });
+    },
     axe: async () => {
       const axe = await readFile(new URL("node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
       await session("execute/sync", { script: axe, args: [] });

@@ -130,6 +130,7 @@ const COMMANDS: &[&str] = &[
     "play",
     "export",
     "serve",
+    "page",
     "bench",
     "doctor",
     "completions",

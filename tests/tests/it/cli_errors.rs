@@ -114,6 +114,14 @@ fn mistakes_about_runs() {
         ("export run --to tape --check 1", &["--check counts the checks of one seed", "--seed"]),
         ("export run --to tape --seed 3 --check 1 --check 99", &["run/seed-3 has no check 99: its checks are 1 to"]),
         ("export run --to tape -o both.json", &["both.json is one file for 2 tapes", "--seed"]),
+        ("report run --modules other", &["there are no modules in other: scalar.js is missing", "cargo xtask web"]),
+        ("page none", &["there is no run at none"]),
+        ("page run/seed-9", &["seed 9"]),
+        ("page run --tape sent.json", &["cannot be used with"]),
+        ("page --tape sent.json", &["there is no tape at sent.json", "mcvl export RUN --to tape"]),
+        ("page --tape run/manifest.json", &["run/manifest.json is no tape", "mcvl export RUN --to tape"]),
+        ("page --modules other", &["there are no modules in other: scalar.js is missing", "cargo xtask web"]),
+        ("page --modules none", &["there are no modules in none", "cargo xtask web"]),
     ] {
         check(folder, arguments, 2, parts);
     }
@@ -132,6 +140,8 @@ fn places_that_cannot_be_written() {
         ("report run -o file/report.html", "file/report.html"),
         ("report run -o none/report.html", "none/report.html"),
         ("explain run#1 --svg none/check.svg", "none/check.svg"),
+        ("page run -q -o file/page.html", "file/page.html"),
+        ("page run -q -o none/page.html", "none/page.html"),
         ("export run --to csv -o file", "file"),
         ("export run --to tape -o file/tapes", "file/tapes"),
     ] {

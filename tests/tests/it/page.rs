@@ -2,6 +2,7 @@
 //! wrong with a link.
 
 mod arm;
+mod file;
 mod plays;
 mod tricks;
 
