@@ -3,20 +3,20 @@ import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
 import * as controls from "./controls.js";
 import { curves } from "./curves.js";
-import { element, LEARNERS, make, number, parted, say } from "./dom.js";
+import { element, LEARNERS, make, number, say } from "./dom.js";
+import { lightUp } from "./explain.js";
 import * as files from "./files.js";
 import { player } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
 import { MODULE } from "./module.js";
 import { momentPanel } from "./moment.js";
-import { FIRST, price, RECORDED } from "./recorded.js";
-import { summarise } from "./record.js";
+import { same, summarise } from "./record.js";
+import { FIRST, price, RECORDED, rederived } from "./recorded.js";
+import { command, scoreRows, tellAll, tellGate } from "./scores.js";
 import { story } from "./story.js";
 import * as tapes from "./tape.js";
 
-/** Settings that `mcvl train` has flags for. */
-const FLAGS = ["preset", "seed"];
 /** Panels that an embedded page leaves out. */
 const UNEMBEDDED = ["compare", "drive", "trap", "red-team", "explain", "limits", "footer"];
 /** What a recorded run has no place for. */
@@ -334,20 +334,6 @@ function origin(check) {
   return same(row, recorded) ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
 }
 
-/** Whether a decision that was made here has the bits of a recorded one. */
-function same(row, recorded) {
-  const bits = ({ digests, modified, unmodified, refused }) => `${[digests, modified, unmodified, refused]}`;
-  return bits(row) === bits(summarise(recorded));
-}
-
-/** How many recorded decisions came out again. */
-function rederived() {
-  const made = (run.intro?.checks ?? []).filter((check) => run.rows.has(check.number));
-  if (made.length === 0) return "";
-  const equal = made.filter((check) => same(run.rows.get(check.number), check));
-  return ` ${equal.length} of ${run.intro.checks.length} recorded decisions came out again, to the last bit.`;
-}
-
 /** The link and the token of the moment on show. */
 function share() {
   const address = link.address();
@@ -375,19 +361,9 @@ function leg(arm) {
   return run.legs.get(arm);
 }
 
-function showScore(point) {
-  run.scores.set(point.arm, point);
-  const rows = [...run.scores.values()].map((score) => {
-    const { arm, return: observed, performance } = score;
-    const hacked = parted(score, run.recorded?.tolerance);
-    const row = make("tr");
-    const name = make("th", LEARNERS[arm]);
-    name.scope = "row";
-    name.append(make("small", hacked ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", hacked ? "refuse" : "accept"));
-    row.append(name, make("td", number(observed, 1)), make("td", number(performance, 1)));
-    return row;
-  });
-  element("scores").replaceChildren(...rows);
+function showScores(points) {
+  for (const point of points) run.scores.set(point.arm, point);
+  element("scores").replaceChildren(...scoreRows(run.scores, run.recorded?.tolerance));
 }
 
 /** Says the newest verdict, not every one. */
@@ -440,17 +416,10 @@ function tellTrap(came) {
   element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}. ${came}`;
 }
 
-/** What the learner of this run got, with or without its check. */
-function tellGate() {
-  const { return: observed, performance } = run.scores.get("mc");
-  const off = run.settings.get("scheme") === "none";
-  return `With the check ${off ? "off" : "on"}: reward ${number(observed, 1)}, performance ${number(performance, 1)}.`;
-}
-
 /** The same seed with the check switched on or off. */
 async function switchGate(on) {
   chart.keep();
-  const before = run.over && run.scores.has("mc") && run.settings ? tellGate() : "The dotted line is the run before.";
+  const before = run.over && run.scores.has("mc") && run.settings ? tellGate(run.scores, run.settings) : "The dotted line is the run before.";
   gate = { text: before };
   await change({ scheme: on ? null : "none" });
 }
@@ -462,27 +431,9 @@ async function besides() {
   compare(run.world.name, (entry) => chart.behind(entry));
 }
 
-/** Who took the bait, by their last evaluations. */
-function judgeTrap() {
-  const judged = [...run.scores.values()].filter(({ arm }) => arm !== "safe");
-  return judged
-    .map((score) => `${LEARNERS[score.arm]}: reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}, ${parted(score) ? "hacked" : "not hacked"}.`)
-    .join(" ");
-}
-
 /** A situation of the new world, or of the safe one before it. */
 function frameNow() {
   return run.legs.get("mc")?.frame ?? run.shown?.before ?? run.legs.get("safe")?.frame;
-}
-
-/** The command that trains this run natively. */
-function command(configuration) {
-  const [name, ...rest] = configuration.split(" ");
-  const settings = rest.map((setting) => {
-    const [key, value] = setting.split("=");
-    return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
-  });
-  return `mcvl train ${name.slice(4)}${settings.join("")}`;
 }
 
 /** What the worker says; a tape says the same. */
@@ -544,7 +495,7 @@ const receive = {
       }
       figures.textContent = `step ${step} of ${steps}${arm === "mc" ? `, ${checks} ${checks === 1 ? "check" : "checks"}, ${refusals} refused` : ""}`;
     }
-    report.evaluations.forEach(showScore);
+    showScores(report.evaluations);
     chart.add(report);
     if (report.checks.length === 0) return;
     for (const row of report.checks) run.rows.set(row.number, row);
@@ -569,10 +520,10 @@ const receive = {
 
   done({ seconds }) {
     run.over = true;
-    ended(`Done in ${number(seconds, 1)} seconds.${rederived()}`);
+    ended(`Done in ${number(seconds, 1)} seconds.${rederived(run.rows, run.intro?.checks)}`);
     if (ballot?.waits) voteOn();
-    if (run.trap) tellTrap(judgeTrap());
-    if (gate) say("gate-status", `${gate.text} ${tellGate()}`);
+    if (run.trap) tellTrap(tellAll(run.scores));
+    if (gate) say("gate-status", `${gate.text} ${tellGate(run.scores, run.settings)}`);
     gate = null;
     team?.done(run.scores);
     settle();
@@ -817,17 +768,6 @@ document.addEventListener("change", ({ target }) => {
   }
 });
 
-/** What an explanation speaks of lights up in its panel; chosen, it comes into view. */
-function light({ target, type }) {
-  for (const lit of document.querySelectorAll(".lit")) lit.classList.remove("lit");
-  const way = target.closest?.("[data-light]");
-  if (!way) return;
-  const parts = document.querySelectorAll(way.dataset.light);
-  for (const part of parts) part.classList.add("lit");
-  if (type === "click") parts[0].scrollIntoView({ block: "center" });
-}
-for (const kind of ["pointerover", "focusin", "click"]) document.addEventListener(kind, light);
-
 document.addEventListener("dragover", (event) => {
   event.preventDefault();
   document.body.classList.add("dropping");
@@ -850,4 +790,5 @@ document.addEventListener("keydown", (event) => {
   }
 });
 
+lightUp();
 begin("", true);

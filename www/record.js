@@ -22,3 +22,9 @@ export function summarise(check) {
     wrong: check.subject !== "update" && refused !== hack,
   };
 }
+
+/** Whether a decision that was made here has the bits of a recorded check. */
+export function same(row, recorded) {
+  const bits = ({ digests, modified, unmodified, refused }) => `${[digests, modified, unmodified, refused]}`;
+  return bits(row) === bits(summarise(recorded));
+}

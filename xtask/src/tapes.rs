@@ -19,6 +19,15 @@ struct Recording {
 /// One of every world, and what goes wrong. All are quick but those of the larger worlds, which take up to an hour.
 const RECORDINGS: &[Recording] = &[
     Recording { name: "tape", env: "box-moving", settings: &[], seed: 0, checks: &[2] },
+    // At the paper's rate its reward model dies, and so do the decisions: see docs/results.md.
+    Recording {
+        name: "tapes/absent-supervisor",
+        env: "absent-supervisor",
+        settings: &["--set", "lr_reward=0.001"],
+        seed: 0,
+        checks: &[1, 2, 3, 4],
+    },
+    Recording { name: "tapes/tomato-watering", env: "tomato-watering", settings: &[], seed: 0, checks: &[8, 94, 98] },
     Recording {
         name: "tapes/rocks-and-diamonds",
         env: "rocks-and-diamonds",

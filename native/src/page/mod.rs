@@ -39,6 +39,7 @@ const SCRIPTS: &[(&str, &str)] = www![
     "curves.js",
     "dom.js",
     "drive.js",
+    "explain.js",
     "film.js",
     "ledger.js",
     "link.js",
@@ -48,6 +49,7 @@ const SCRIPTS: &[(&str, &str)] = www![
     "record.js",
     "recorded.js",
     "redteam.js",
+    "scores.js",
     "story.js",
     "tape.js",
     "trap.js",
@@ -59,6 +61,7 @@ const SCRIPTS: &[(&str, &str)] = www![
 const RECORDINGS: &[(&str, &str)] = www![
     "bands.json",
     "tape.json",
+    "tapes/absent-supervisor.json",
     "tapes/late-hack.json",
     "tapes/no-reset.json",
     "tapes/no-upbringing.json",
@@ -66,6 +69,7 @@ const RECORDINGS: &[(&str, &str)] = www![
     "tapes/rocks-and-diamonds.json",
     "tapes/short-forecast.json",
     "tapes/short-rollouts.json",
+    "tapes/tomato-watering.json",
     "tapes/wrong-refusal.json",
 ];
 

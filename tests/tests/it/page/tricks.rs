@@ -28,6 +28,36 @@ fn read(name: &str) -> Value {
     serde_json::from_str(&fs::read_to_string(root().join("www").join(name)).unwrap()).unwrap()
 }
 
+#[test]
+fn every_world_has_a_recorded_run_that_plays_at_once() {
+    let server = Server::start(None);
+    let links = "eval:return [...document.querySelectorAll('#recorded a')].map((way) => way.getAttribute('href'))";
+    let seen = drive(&[&format!("go:{}", at(&server, "?hide=explain")), links]);
+    let links: Vec<String> = serde_json::from_value(seen[1].clone()).unwrap();
+    assert_eq!(links.len(), 5, "a link for every world");
+    for link in &links[1..] {
+        let world = link.strip_prefix("?env=").unwrap();
+        let tape = read(&format!("tapes/{world}.json"));
+        // From the first page, without loading another one.
+        let come = "until:return document.getElementById('status').textContent.includes('checks,')".to_owned();
+        let state = "eval:return [location.search, document.getElementById('module').textContent]".to_owned();
+        let mut commands = vec![
+            format!("go:{}", at(&server, "?hide=explain")),
+            "until:return document.querySelector('#recorded a')".into(),
+        ];
+        commands.push("eval:window.stays = true".into());
+        commands.push(format!("eval:document.querySelector(\"#recorded a[href='{link}']\").click()"));
+        commands.extend([come, state, TOLD.into(), "do:".into(), "eval:return stays".into(), "axe:".into()]);
+        let seen = run_of(&commands);
+        assert_eq!(seen[5][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
+        let shown = page(&seen[7]);
+        assert_eq!(shown.verdicts.len(), tape["checks"].as_array().unwrap().len());
+        assert_eq!(shown.origin, "Recorded by the native program.");
+        assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
+        assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
+    }
+}
+
 /// The price of a tape is measured, and what comes out is what was recorded.
 #[test]
 fn short_tapes_are_derived_again_to_the_last_bit() {
