@@ -15,7 +15,6 @@ use crate::agent::ddqn::Ddqn;
 #[cfg(feature = "continuous")]
 use crate::agent::td3::Td3;
 use crate::config::{Config, Learner, Simulator};
-use crate::digest::Digest;
 #[cfg(feature = "continuous")]
 use crate::env::BuiltIn;
 use crate::env::gridworld::Gridworld;
@@ -25,8 +24,16 @@ use crate::env::trap::Trapped;
 use crate::env::{EnvSpec, Environment, Frame};
 use crate::forecast::Forecaster;
 use crate::forecast::cpu::CpuForecaster;
+use crate::forecast::elsewhere::{self, Elsewhere, Reader};
 use crate::record::{Arm, Recorder};
 use crate::trainer::Trainer;
+
+pub(crate) mod sealed;
+mod task;
+
+pub use task::Task;
+
+use sealed::Magic;
 
 /// How much work one call may do. One unit is about one gradient update of the gridworld learner; a call
 /// overshoots by at most one indivisible piece: an evaluation point (all its episodes), or the rating of a
@@ -131,27 +138,64 @@ pub enum SnapshotError {
     Damaged(String),
 }
 
+impl SnapshotError {
+    /// Says it of bytes that are named so.
+    fn tell(&self, what: &str, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SnapshotError::Unrecognised => write!(f, "these bytes are not {what} of a run"),
+            SnapshotError::Version { found, expected } => {
+                write!(f, "{what} has format version {found}, this program reads version {expected}")
+            }
+            SnapshotError::Truncated { found, expected } => write!(f, "{what} is cut off: {found} bytes of {expected}"),
+            SnapshotError::World(name) => {
+                write!(f, "{what} is of the world `{name}`, which is not among those that are looked for")
+            }
+            SnapshotError::Damaged(why) => write!(f, "{what} is damaged: {why}"),
+        }
+    }
+}
+
 impl fmt::Display for SnapshotError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            SnapshotError::Unrecognised => f.write_str("not a snapshot of a run"),
-            SnapshotError::Version { found, expected } => write!(
-                f,
-                "the snapshot has format version {found}, this program reads version {expected}: \
-                 continue it with the version of mcvl that wrote it, or start afresh"
-            ),
-            SnapshotError::Truncated { found, expected } => {
-                write!(f, "the snapshot is cut off: {found} bytes of {expected}")
+            SnapshotError::Unrecognised => return f.write_str("not a snapshot of a run"),
+            other => other.tell("the snapshot", f)?,
+        }
+        match self {
+            SnapshotError::Version { .. } => {
+                f.write_str(": continue it with the version of mcvl that wrote it, or start afresh")
             }
-            SnapshotError::World(name) => {
-                write!(f, "the snapshot is of the world `{name}`, which is not among those that are looked for")
-            }
-            SnapshotError::Damaged(why) => write!(f, "the snapshot is damaged: {why}"),
+            _ => Ok(()),
         }
     }
 }
 
 impl core::error::Error for SnapshotError {}
+
+/// Why bytes are no forecast of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TransferError {
+    /// They cannot be read.
+    Unreadable {
+        /// What was looked for: `the job` or `the future`.
+        what: &'static str,
+        /// Why it is none.
+        error: SnapshotError,
+    },
+    /// They belong to no forecast that this run waits for.
+    Foreign,
+}
+
+impl fmt::Display for TransferError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            TransferError::Unreadable { what, error } => error.tell(what, f),
+            TransferError::Foreign => f.write_str("the future belongs to no forecast that this run waits for"),
+        }
+    }
+}
+
+impl core::error::Error for TransferError {}
 
 /// A run of one experiment: Safe training, then one learner in the Full world.
 #[derive(Clone)]
@@ -160,11 +204,9 @@ pub struct Run {
 }
 
 /// First bytes of a snapshot.
-const MAGIC: &[u8; 8] = b"mcvlsnap";
+const MAGIC: &Magic = b"mcvlsnap";
 /// Version of the snapshot format.
 pub const SNAPSHOT_VERSION: u32 = 4;
-/// Bytes before the payload: magic, version, length, digest.
-const HEADER: usize = 8 + 4 + 8 + 8;
 
 /// A trainer whose world and learner are not named.
 trait Erased: Send {
@@ -182,6 +224,9 @@ trait Erased: Send {
     fn name(&self) -> &str;
     fn boxed_clone(&self) -> Box<dyn Erased>;
     fn forecast_here(&mut self);
+    fn forecast_elsewhere(&mut self) -> Option<()>;
+    fn take_job(&mut self) -> Option<Vec<u8>>;
+    fn hand_back(&mut self, future: &[u8]) -> Result<(), TransferError>;
     fn as_any_mut(&mut self) -> &mut dyn Any;
 }
 
@@ -196,15 +241,31 @@ struct Typed<E: Environment<Action = A::Action>, A: Agent> {
     /// Name in snapshots, where it is not that of the configuration's world.
     name: Option<&'static str>,
     trainer: Trainer<E, A>,
-    forecaster: CpuForecaster<E, A>,
-    /// Forecasts in place of the processor's.
-    other: Option<Box<dyn Forecaster<E, A> + Send>>,
+    back_end: BackEnd<E, A>,
+    /// Reads futures that were made elsewhere; none where nobody can make them.
+    read: Option<Reader<A>>,
+}
+
+/// Who trains the futures.
+enum BackEnd<E, A: Agent> {
+    Processor(Box<CpuForecaster<E, A>>),
+    Elsewhere(Elsewhere<A>),
+    Given(Box<dyn Forecaster<E, A> + Send>),
+}
+
+impl<E, A: Agent> Default for BackEnd<E, A> {
+    fn default() -> Self {
+        BackEnd::Processor(Box::default())
+    }
 }
 
 impl<E: Environment<Action = A::Action>, A: Agent> Clone for Typed<E, A> {
     fn clone(&self) -> Self {
-        let (trainer, forecaster) = (self.trainer.clone(), self.forecaster.clone());
-        Self { name: self.name, trainer, forecaster, other: None }
+        let back_end = match &self.back_end {
+            BackEnd::Processor(forecaster) => BackEnd::Processor(forecaster.clone()),
+            BackEnd::Elsewhere(_) | BackEnd::Given(_) => BackEnd::default(),
+        };
+        Self { name: self.name, trainer: self.trainer.clone(), back_end, read: self.read }
     }
 }
 
@@ -214,7 +275,15 @@ where
     A: Agent,
 {
     fn new(trainer: Trainer<E, A>) -> Self {
-        Self { name: None, trainer, forecaster: CpuForecaster::default(), other: None }
+        Self { name: None, trainer, back_end: BackEnd::default(), read: None }
+    }
+
+    /// In a built-in world.
+    fn built_in(trainer: Trainer<E, A>) -> Self
+    where
+        A: DeserializeOwned,
+    {
+        Self { read: Some(elsewhere::read), ..Self::new(trainer) }
     }
 }
 
@@ -225,10 +294,12 @@ where
     A::Action: Serialize + Send,
 {
     fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
-        match &mut self.other {
-            Some(other) => self.trainer.poll(&mut **other, budget, recorder),
-            None => self.trainer.poll(&mut self.forecaster, budget, recorder),
-        }
+        let forecaster: &mut dyn Forecaster<E, A> = match &mut self.back_end {
+            BackEnd::Processor(forecaster) => &mut **forecaster,
+            BackEnd::Elsewhere(forecaster) => forecaster,
+            BackEnd::Given(forecaster) => &mut **forecaster,
+        };
+        self.trainer.poll(forecaster, budget, recorder)
     }
 
     fn config(&self) -> &Config {
@@ -253,7 +324,7 @@ where
     }
 
     fn state(&self) -> Vec<u8> {
-        postcard::to_allocvec(&self.trainer).expect("plain data has a binary form")
+        sealed::encode(&self.trainer)
     }
 
     fn spec(&self) -> &EnvSpec {
@@ -287,7 +358,23 @@ where
     }
 
     fn forecast_here(&mut self) {
-        self.other = None;
+        self.back_end = BackEnd::default();
+    }
+
+    fn forecast_elsewhere(&mut self) -> Option<()> {
+        self.back_end = BackEnd::Elsewhere(Elsewhere::new(self.name(), self.read?));
+        Some(())
+    }
+
+    fn take_job(&mut self) -> Option<Vec<u8>> {
+        if let BackEnd::Elsewhere(forecaster) = &mut self.back_end { forecaster.take_job() } else { None }
+    }
+
+    fn hand_back(&mut self, future: &[u8]) -> Result<(), TransferError> {
+        match &mut self.back_end {
+            BackEnd::Elsewhere(forecaster) => forecaster.hand_back(future),
+            BackEnd::Processor(_) | BackEnd::Given(_) => Err(TransferError::Foreign),
+        }
     }
 
     fn as_any_mut(&mut self) -> &mut dyn Any {
@@ -301,6 +388,7 @@ struct Family {
     names: &'static [&'static str],
     begin: fn(&Config) -> Box<dyn Erased>,
     resume: fn(&[u8]) -> Resumed,
+    task: task::Open,
 }
 
 /// What became of a snapshot's state.
@@ -312,18 +400,20 @@ static FAMILIES: &[Family] = &[
         names: Gridworld::NAMES,
         begin: |config| {
             let (safe, full) = Trapped::worlds(config).expect("the family has this world");
-            Box::new(Typed::new(Trainer::gridworld(config.clone(), safe, full)))
+            Box::new(Typed::built_in(Trainer::gridworld(config.clone(), safe, full)))
         },
         resume: resumed::<Trapped, Ddqn>,
+        task: task::open::<Trapped, Ddqn>,
     },
     #[cfg(feature = "continuous")]
     Family {
         names: &[<Reacher as BuiltIn>::NAME],
         begin: |config| {
             let (safe, full) = Reacher::worlds(config);
-            Box::new(Typed::new(Trainer::continuous(config.clone(), safe, full)))
+            Box::new(Typed::built_in(Trainer::continuous(config.clone(), safe, full)))
         },
         resume: resumed::<Reacher, Td3<2>>,
+        task: task::open::<Reacher, Td3<2>>,
     },
 ];
 
@@ -333,70 +423,13 @@ impl Family {
     }
 }
 
-/// A trainer from its binary form.
-fn trainer<E, A>(state: &[u8]) -> Result<Trainer<E, A>, SnapshotError>
-where
-    E: Environment<Action = A::Action> + DeserializeOwned,
-    A: Agent + DeserializeOwned,
-    A::Action: DeserializeOwned,
-{
-    let (trainer, rest): (Trainer<E, A>, _) = postcard::take_from_bytes(state)
-        .map_err(|error| SnapshotError::Damaged(format!("its content makes no sense: {error}")))?;
-    if !rest.is_empty() {
-        return Err(SnapshotError::Damaged("its parts do not belong together".to_owned()));
-    }
-    Ok(trainer)
-}
-
 fn resumed<E, A>(state: &[u8]) -> Resumed
 where
     E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
     A: Agent + Serialize + DeserializeOwned + Send + 'static,
     A::Action: Serialize + DeserializeOwned + Send,
 {
-    Ok(Box::new(Typed::new(trainer::<E, A>(state)?)))
-}
-
-/// The world's name and the state in a snapshot.
-fn opened(bytes: &[u8]) -> Result<(&str, &[u8]), SnapshotError> {
-    let damaged = |why: String| SnapshotError::Damaged(why);
-    let found = bytes.len() as u64;
-    if bytes.len() < HEADER {
-        return Err(if MAGIC.starts_with(&bytes[..bytes.len().min(8)]) && !bytes.is_empty() {
-            SnapshotError::Truncated { found, expected: HEADER as u64 }
-        } else {
-            SnapshotError::Unrecognised
-        });
-    }
-    if &bytes[..8] != MAGIC {
-        return Err(SnapshotError::Unrecognised);
-    }
-    let number = |range: core::ops::Range<usize>| {
-        let mut word = [0; 8];
-        word[..range.len()].copy_from_slice(&bytes[range]);
-        u64::from_le_bytes(word)
-    };
-    let version = number(8..12) as u32;
-    if version != SNAPSHOT_VERSION {
-        return Err(SnapshotError::Version { found: version, expected: SNAPSHOT_VERSION });
-    }
-    let expected = number(12..20).saturating_add(HEADER as u64);
-    if found < expected {
-        return Err(SnapshotError::Truncated { found, expected });
-    }
-    let payload = &bytes[HEADER..];
-    if found > expected {
-        return Err(damaged(format!("{} bytes too many", found - expected)));
-    }
-    if Digest::default().bytes(payload).finish() != number(20..28) {
-        return Err(damaged("its bytes were altered".to_owned()));
-    }
-    let (name, state) = payload
-        .split_first()
-        .and_then(|(&len, rest)| rest.split_at_checked(usize::from(len)))
-        .ok_or_else(|| damaged("it names no world".to_owned()))?;
-    let name = core::str::from_utf8(name).map_err(|_| damaged("it names no world".to_owned()))?;
-    Ok((name, state))
+    Ok(Box::new(Typed::built_in(sealed::decode::<Trainer<E, A>>(state)?)))
 }
 
 impl Run {
@@ -449,7 +482,7 @@ impl Run {
     {
         match self.inner.as_any_mut().downcast_mut::<Typed<E, A>>() {
             Some(typed) => {
-                typed.other = Some(forecaster);
+                typed.back_end = BackEnd::Given(forecaster);
                 Ok(())
             }
             None => Err(forecaster),
@@ -459,6 +492,51 @@ impl Run {
     /// Forecasts on the processor from here on; a forecast under way begins again.
     pub fn forecast_here(&mut self) {
         self.inner.forecast_here();
+    }
+
+    /// Lets others train the futures, which may be other programs: during a check there is a job per future to take
+    /// ([`Run::take_job`]), and polls do nothing until every future is handed back ([`Run::hand_back`]). Whoever has a
+    /// job opens it as a [`Task`]; the futures are the processor's, to the last bit. It belongs to this value alone,
+    /// as in [`Run::forecast_with`], and [`Run::forecast_here`] ends it.
+    ///
+    /// ```
+    /// use mcvl_core::config::Config;
+    /// use mcvl_core::run::{Budget, Run, Status, Task};
+    ///
+    /// let short = "env=box-moving safe_steps=60 full_steps=20 forecast=5 rollouts=1 scheme=all";
+    /// let mut run = Run::new(&short.parse::<Config>()?);
+    /// run.forecast_elsewhere();
+    /// while run.poll(Budget(100), &mut ())? != Status::Done {
+    ///     while let Some(job) = run.take_job() {
+    ///         let mut task = Task::open(&job)?;
+    ///         let future = loop {
+    ///             if let Some(future) = task.poll(Budget(100)) {
+    ///                 break future;
+    ///             }
+    ///         };
+    ///         run.hand_back(&future)?;
+    ///     }
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// `None`, with nothing changed, if the run's world is not built in: nobody could open its jobs.
+    pub fn forecast_elsewhere(&mut self) -> Option<()> {
+        self.inner.forecast_elsewhere()
+    }
+
+    /// The next job of the check under way, as bytes, each once.
+    pub fn take_job(&mut self) -> Option<Vec<u8>> {
+        self.inner.take_job()
+    }
+
+    /// Takes a future that [`Task::poll`] gave for one of the run's jobs, in any order.
+    ///
+    /// # Errors
+    /// If the bytes are no future, or none that this run waits for; nothing is changed then.
+    pub fn hand_back(&mut self, future: &[u8]) -> Result<(), TransferError> {
+        self.inner.hand_back(future)
     }
 
     /// Where the run stands, without doing anything.
@@ -494,19 +572,7 @@ impl Run {
     /// Forecasts under way are not part of it: they are made again from the same start, so whoever stops
     /// and continues more often than a check takes does not get past it.
     pub fn snapshot(&self) -> Vec<u8> {
-        let state = self.inner.state();
-        let name = self.inner.name().as_bytes();
-        let mut payload = Vec::with_capacity(1 + name.len() + state.len());
-        payload.push(name.len() as u8);
-        payload.extend_from_slice(name);
-        payload.extend_from_slice(&state);
-        let mut bytes = Vec::with_capacity(HEADER + payload.len());
-        bytes.extend_from_slice(MAGIC);
-        bytes.extend_from_slice(&SNAPSHOT_VERSION.to_le_bytes());
-        bytes.extend_from_slice(&(payload.len() as u64).to_le_bytes());
-        bytes.extend_from_slice(&Digest::default().bytes(&payload).finish().to_le_bytes());
-        bytes.extend_from_slice(&payload);
-        bytes
+        sealed::seal(MAGIC, self.inner.name(), &self.inner.state())
     }
 
     /// A run of a world that is not built in. `name` stands in its snapshots, for [`Run::resume_of`].
@@ -535,11 +601,11 @@ impl Run {
         A: Agent + Serialize + DeserializeOwned + Send + 'static,
         A::Action: Serialize + DeserializeOwned + Send,
     {
-        let (found, state) = opened(bytes)?;
+        let (found, state) = sealed::open(MAGIC, bytes)?;
         if found != name {
             return Err(SnapshotError::World(found.to_owned()));
         }
-        Ok(Self::of(name, trainer::<E, A>(state)?))
+        Ok(Self::of(name, sealed::decode::<Trainer<E, A>>(state)?))
     }
 
     /// Continues from a snapshot of a built-in world.
@@ -547,7 +613,7 @@ impl Run {
     /// # Errors
     /// See [`SnapshotError`].
     pub fn resume(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let (name, state) = opened(bytes)?;
+        let (name, state) = sealed::open(MAGIC, bytes)?;
         let family = Family::find(name).ok_or_else(|| SnapshotError::World(name.to_owned()))?;
         let inner = (family.resume)(state)?;
         if inner.config().env != name {

@@ -1,8 +1,10 @@
 //! Forecasts: what a learner becomes if it goes on training on what it has.
 //!
-//! The back ends meet at one trait, batch-first and polled. [`cpu::CpuForecaster`] is the reference.
+//! The back ends meet at one trait, batch-first and polled. [`cpu::CpuForecaster`] is the reference. `elsewhere.rs` hands
+//! jobs out as bytes, for other programs to train.
 
 pub mod cpu;
+pub(crate) mod elsewhere;
 mod practice;
 
 pub use practice::Practice;
@@ -10,6 +12,7 @@ pub use practice::Practice;
 use alloc::vec::Vec;
 use core::fmt;
 use core::task::Poll;
+use serde::{Deserialize, Serialize};
 
 use crate::agent::Agent;
 use crate::env::Action;
@@ -17,7 +20,7 @@ use crate::replay::{ReplayBuffer, Transition};
 use crate::run::Budget;
 
 /// What a forecast takes along from the live learner besides its parameters (specification R15).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Carry {
     /// The target networks; without, they start equal to the live networks.
     pub target: bool,
@@ -33,6 +36,8 @@ impl Carry {
 /// One future to train: a copy of `agent` makes `updates` updates on mini-batches from `replay`, each
 /// with the forced transitions appended (specification R13 to R17); where it practises, on those of a copy
 /// of `replay` that grows by its practice. Nothing of the job is changed.
+#[derive(Serialize)]
+#[serde(bound = "E: Serialize, A: Serialize, A::Action: Serialize")]
 pub struct ForecastJob<'a, E, A: Agent> {
     /// The learner that is copied.
     pub agent: &'a A,

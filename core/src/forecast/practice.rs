@@ -11,6 +11,7 @@
 //! and what follows from them. The world's own rewards are not looked at.
 
 use alloc::vec::Vec;
+use serde::Serialize;
 
 use super::ForecastJob;
 use crate::agent::Agent;
@@ -22,7 +23,7 @@ use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
 
 /// Where and how a future practises. Nothing of it is changed.
-#[derive(Debug)]
+#[derive(Debug, Serialize)]
 pub struct Practice<'a, E> {
     /// The transition model in the state after the checked transition.
     pub world: &'a E,
