@@ -25,7 +25,7 @@ export function start(configuration, token, pace, held, to) {
   ticket += 1;
   worker ??= hire();
   tell({ kind: "pace", pace });
-  tell({ kind: "start", ticket, configuration, token, held });
+  tell({ kind: "start", ticket, configuration, token, held, cores: navigator.hardwareConcurrency });
 }
 
 /** What is wrong with a configuration; empty where nothing is, or where nothing can judge it. */

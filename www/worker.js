@@ -10,6 +10,8 @@ const SLICE = 20;
 const REPORT = 100;
 /** A calibration takes this long, milliseconds, and is given up after so many times that without an update. */
 const [MEASURED, PATIENCE] = [300, 10];
+/** A helper that says nothing for so long is lost. */
+const SILENCE = 5000;
 /** Environment steps per second at speed 1. */
 const STEPS = 8;
 
@@ -26,21 +28,25 @@ let gate = Promise.resolve();
 let goOn = () => {};
 /** Environment steps per second of each learner; Infinity for as fast as it goes. */
 let rate = Infinity;
+/** Further workers of this file, which train the futures of a check, one each; what to do when one answers or fails. */
+let helpers = [];
+let receive = () => {};
 
 const requests = {
   /** Starts a run; held, it is judged and waits for `resume` before its first step. */
-  start({ ticket, configuration, token, held }) {
-    current = ticket;
+  start({ ticket, configuration, token, held, cores }) {
+    requests.leave({ ticket });
     moments = new Map();
     [evaluations, checks] = [[], []];
-    requests.resume();
     if (held) requests.pause();
-    compute(configuration, token, ticket).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
+    compute(configuration, token, ticket, cores).catch((error) => postMessage({ kind: "failed", ticket, message: error.message }));
   },
   pause() {
+    tell({ kind: "pause" });
     gate = new Promise((resolve) => (goOn = resolve));
   },
   resume() {
+    tell({ kind: "resume" });
     goOn();
     gate = Promise.resolve();
   },
@@ -98,7 +104,14 @@ const requests = {
   /** Ends the run; nothing more is heard of it. */
   leave({ ticket }) {
     current = ticket;
+    tell({ kind: "leave", ticket });
     requests.resume();
+  },
+  /** Trains a future for the worker that has its run. */
+  forecast(request) {
+    current = request.ticket;
+    // Whoever hired this worker hears of errors.
+    forecast(request).catch(reportError);
   },
   pace({ pace }) {
     rate = pace === "max" ? Infinity : STEPS * Number(pace);
@@ -117,8 +130,8 @@ loaded.catch(() => {});
 async function load() {
   const module = await files.load(`pkg/${MODULE}.js`);
   await module.default({ module_or_path: files.get(`pkg/${MODULE}_bg.wasm`) });
-  const { Run, Drive, readToken, untrained } = module;
-  return { Run, Drive, readToken, untrained, experiments: JSON.parse(module.experiments()) };
+  const { Run, Drive, Forecast, readToken, untrained } = module;
+  return { Run, Drive, Forecast, readToken, untrained, experiments: JSON.parse(module.experiments()) };
 }
 
 /** The run of a configuration; where it is not trained here, an episode in its world, which says the same of it. */
@@ -128,7 +141,7 @@ async function open(configuration) {
 }
 
 /** Safe training, then both learners side by side from the switch, and the one that the configuration names. */
-async function compute(configuration, token, ticket) {
+async function compute(configuration, token, ticket, cores) {
   const { readToken, untrained, experiments } = await loaded;
   if (ticket !== current) return;
   const start = performance.now();
@@ -147,9 +160,12 @@ async function compute(configuration, token, ticket) {
   const driven = untrained(configuration);
   postMessage({ kind: "ready", ticket, experiments, world, cost: safe.cost(), configuration, settings, wanted: number, driven });
   if (driven) return safe.free();
+  // The worker that has the run and the page keep a core.
+  if (cores > 2 && helpers.length === 0) hire();
   if (!(await follow([safe], "switch", ticket))) return;
   const named = settings.find(({ name }) => name === "agent").value;
   const learners = [...new Set(["baseline", "mc", named])].map((name) => safe.fork(name));
+  if (helpers.length > 0) learners.forEach((run) => run.forecastElsewhere());
   if (!(await follow(learners, "done", ticket))) return;
   postMessage({ kind: "done", ticket, seconds: (performance.now() - start) / 1000 });
 }
@@ -157,16 +173,26 @@ async function compute(configuration, token, ticket) {
 /** Polls runs in turn until all have the status `end`; false where another run was asked for meanwhile. */
 async function follow(runs, end, ticket) {
   const pending = new Set(runs);
-  const states = new Map(runs.map((run) => [run, { budget: 16, due: 0, step: 0, began: 0 }]));
+  const states = new Map(runs.map((run) => [run, { budget: 16, due: 0, step: 0, began: 0, out: 0, heard: 0 }]));
   let reported = performance.now();
+  let wake = () => {};
+  receive = (came) => {
+    if (came.ticket === ticket) takeBack(runs[came.index], states.get(runs[came.index]), came.future);
+    wake();
+  };
   while (pending.size > 0) {
     await gate;
     if (ticket !== current) return false;
     let wait = Infinity;
     // A decision that is under way comes first: somebody may be waiting for it.
-    const deciding = [...pending].filter((run) => states.get(run).began);
+    const deciding = [...pending].filter((run) => states.get(run).began && !states.get(run).out);
     for (const run of deciding.length > 0 ? deciding : pending) {
       const state = states.get(run);
+      if (state.out > 0) {
+        if (helpers.length > 0 && performance.now() - state.heard < SILENCE) continue;
+        dismiss();
+        forecastHere(run, state);
+      }
       const before = performance.now();
       if (before < state.due) {
         wait = Math.min(wait, state.due - before);
@@ -176,6 +202,7 @@ async function follow(runs, end, ticket) {
       // Slowed down, a slice is one step at most; forecasts are not slowed down.
       const budget = rate === Infinity || state.began ? state.budget : 1;
       if (run.poll(budget) === end) pending.delete(run);
+      handOut(run, state, { ticket, index: runs.indexOf(run) });
       const now = performance.now();
       if (budget === state.budget) state.budget = adapt(budget, now - before);
       const { step, check } = JSON.parse(run.progress());
@@ -189,10 +216,84 @@ async function follow(runs, end, ticket) {
       reported = performance.now();
       postMessage({ ticket, ...report(runs) });
     }
-    if (wait > 0 && wait < Infinity) await new Promise((resolve) => setTimeout(resolve, Math.min(wait, REPORT)));
-    else await nextTask();
+    if (wait === 0) await nextTask();
+    else await new Promise((resolve) => setTimeout((wake = resolve), Math.min(wait, REPORT)));
   }
   return true;
+}
+
+/** Hires both helpers, where workers can have workers. Where one fails, both go: the run then forecasts itself. */
+function hire() {
+  try {
+    for (let i = 0; i < 2; i += 1) {
+      const helper = files.hire("worker.js");
+      helpers.push(helper);
+      helper.onmessage = ({ data }) => helpers.includes(helper) && receive(data);
+      helper.onerror = (event) => {
+        event.preventDefault();
+        dismiss();
+        receive({});
+      };
+    }
+  } catch {
+    dismiss();
+  }
+}
+
+function dismiss() {
+  for (const helper of helpers) helper.terminate();
+  helpers = [];
+}
+
+function tell(message) {
+  for (const helper of helpers) helper.postMessage(message);
+}
+
+/** Gives the futures that a run wants now, if any, to helpers. */
+function handOut(run, state, request) {
+  for (let job; (job = run.takeJob()); ) {
+    state.heard = performance.now();
+    if (helpers.length > 0) helpers[state.out++].postMessage({ kind: "forecast", ...request, job }, [job.buffer]);
+    else forecastHere(run, state);
+  }
+}
+
+/** Hears from a helper, mostly that it is there. */
+function takeBack(run, state, future) {
+  state.heard = performance.now();
+  if (!future) return;
+  try {
+    run.handBack(future);
+    state.out -= 1;
+  } catch {
+    // Whoever sends something else is not asked again.
+    dismiss();
+  }
+}
+
+/** Begins the forecast under way again, to the same end. */
+function forecastHere(run, state) {
+  run.forecastHere();
+  state.out = 0;
+}
+
+/** Trains a future in slices and sends it back, unless something else was asked for meanwhile. */
+async function forecast({ ticket, index, job }) {
+  const beat = setInterval(() => postMessage({ ticket, index }), SILENCE / 10);
+  const { Forecast } = await loaded;
+  const task = new Forecast(job);
+  let [budget, future] = [16];
+  while (!future) {
+    await gate;
+    if (ticket !== current) break;
+    const before = performance.now();
+    future = task.poll(budget);
+    budget = adapt(budget, performance.now() - before);
+    await nextTask();
+  }
+  clearInterval(beat);
+  task.free();
+  if (future) postMessage({ ticket, index, future }, [future.buffer]);
 }
 
 /** The budget of the next slice, from what this one took. */

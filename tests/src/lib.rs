@@ -75,8 +75,17 @@ impl Server {
     /// # Panics
     /// If the server does not start.
     pub fn start(run: Option<&Path>) -> Self {
+        Self::start_page(Path::new("www"), run)
+    }
+
+    /// Serves the page that lies in this folder, and a run if there is one.
+    ///
+    /// # Panics
+    /// If the server does not start.
+    pub fn start_page(page: &Path, run: Option<&Path>) -> Self {
         let mut command = Command::new(mcvl());
-        command.args(["serve", "--port", "0"]).args(run).current_dir(root()).stdout(Stdio::piped());
+        command.args(["serve", "--port", "0", "--page"]).arg(page);
+        command.args(run).current_dir(root()).stdout(Stdio::piped());
         let mut process = command.spawn().expect("mcvl can be started");
         let mut stdout = BufReader::new(process.stdout.take().expect("stdout is a pipe"));
         let mut line = String::new();

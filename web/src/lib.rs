@@ -10,7 +10,7 @@ use mcvl_core::exact;
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::play::Play;
 use mcvl_core::record::{Arm, Event};
-use mcvl_core::run::{Budget, Run, Status};
+use mcvl_core::run::{Budget, Run, Status, Task};
 use mcvl_core::token::{Token, decision_digest};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -194,6 +194,58 @@ impl Handle {
             JsError::new("fork: the run is past the switch to the Full world; fork it while its status is `switch`")
         })?;
         Ok(Self { run, events: Vec::new(), decisions: Vec::new() })
+    }
+
+    /// Lets other modules train the futures: during a check there are jobs to take, and polls do nothing until the
+    /// future of each is handed back.
+    #[wasm_bindgen(js_name = forecastElsewhere)]
+    pub fn forecast_elsewhere(&mut self) {
+        // Every run here is of a built-in world.
+        let _ = self.run.forecast_elsewhere();
+    }
+
+    /// Trains the futures itself from here on; a forecast under way begins again.
+    #[wasm_bindgen(js_name = forecastHere)]
+    pub fn forecast_here(&mut self) {
+        self.run.forecast_here();
+    }
+
+    /// The next job of the check under way, for a [`Forecast`]; each once.
+    #[wasm_bindgen(js_name = takeJob)]
+    pub fn take_job(&mut self) -> Option<Vec<u8>> {
+        self.run.take_job()
+    }
+
+    /// Takes the future of one of its jobs.
+    ///
+    /// # Errors
+    /// If the bytes are none that this run waits for; nothing is changed then.
+    #[wasm_bindgen(js_name = handBack)]
+    pub fn hand_back(&mut self, future: &[u8]) -> Result<(), JsError> {
+        Ok(self.run.hand_back(future)?)
+    }
+}
+
+/// A future that a run of another module lets train here.
+#[wasm_bindgen]
+pub struct Forecast {
+    task: Task,
+}
+
+#[wasm_bindgen]
+impl Forecast {
+    /// Opens a job that a run gave.
+    ///
+    /// # Errors
+    /// If the bytes are no job; the message says why.
+    #[wasm_bindgen(constructor)]
+    pub fn new(job: &[u8]) -> Result<Forecast, JsError> {
+        Ok(Self { task: Task::open(job)? })
+    }
+
+    /// Does a bounded amount of work; the future, as bytes, once it is trained.
+    pub fn poll(&mut self, budget: u32) -> Option<Vec<u8>> {
+        self.task.poll(Budget(budget))
     }
 }
 

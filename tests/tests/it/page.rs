@@ -3,6 +3,7 @@
 
 mod arm;
 mod file;
+mod further_workers;
 mod plays;
 mod tricks;
 
