@@ -195,8 +195,63 @@ pub fn figures() -> Result<()> {
             if value < goal { "met" } else { "NOT MET" }
         );
     }
+    for (name, query) in CHECKED {
+        compare_workers(&page, name, query)?;
+    }
     if rows.iter().any(|(_, value, goal, _)| value >= goal) {
         bail!("not every figure is met (other work on this machine counts against them)");
     }
+    Ok(())
+}
+
+/// Runs whose checks are timed with and without further workers: name and query. With `own_streams=false` no future is
+/// reused, so every check trains two.
+const CHECKED: &[(&str, &str)] = &[
+    ("Box Moving", "?env=box-moving&seed=0&own_streams=false&full_steps=200&evaluations=2"),
+    (
+        "Box Moving, 10,000 updates",
+        "?env=box-moving&seed=0&own_streams=false&full_steps=40&evaluations=2&forecast=10000",
+    ),
+    (
+        "Absent Supervisor, 2,000 updates",
+        "?env=absent-supervisor&seed=0&own_streams=false&safe_steps=1000&full_steps=25&evaluations=2&forecast=2000\
+         &rollouts=10",
+    ),
+];
+
+/// Prints how long the checks of a run take in one worker and with two further ones, whatever the number of cores.
+/// Each way comes first once.
+fn compare_workers(page: &Page, name: &str, query: &str) -> Result<()> {
+    // What a visitor's page says of the machine decides whether further workers are hired.
+    let cores = |count: u32| {
+        let source = format!("Object.defineProperty(navigator, 'hardwareConcurrency', {{ value: {count} }})");
+        format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", json!({ "source": source }))
+    };
+    // Oldest first, like their numbers.
+    let seconds = "eval:return [...document.querySelectorAll('#verdicts tr')]\
+                   .map((row) => [Number(row.dataset.check), Number(row.dataset.seconds)]).sort(([a], [b]) => a - b)";
+    let mut times: Vec<Vec<(u32, f64)>> = Vec::new();
+    for count in [1, 4, 4, 1] {
+        let mut seen = page.drive(&[cores(count), page.go(query), DONE.into(), seconds.into()])?;
+        times.push(serde_json::from_value(seen.swap_remove(3))?);
+    }
+    let quantile = |values: &mut Vec<f64>, share: f64| {
+        values.sort_by(f64::total_cmp);
+        values.get((share * values.len() as f64) as usize).copied().with_context(|| format!("{name} has no check"))
+    };
+    let of = |runs: [usize; 2]| runs.iter().flat_map(|&run| &times[run]).map(|check| check.1).collect::<Vec<_>>();
+    // The same check in both ways, which make the same decisions.
+    let pairs = [(0, 1), (3, 2)];
+    let ratio = |(one, two): (usize, usize)| times[two].iter().zip(&times[one]).map(|(two, one)| two.1 / one.1);
+    let mut ratios: Vec<f64> = pairs.into_iter().flat_map(ratio).collect();
+    println!(
+        "{name}, {} checks: {:.3} s in one worker, {:.3} s with two further ones; ratio {:.2} ({:.2} to {:.2}) in the middle half",
+        times[0].len(),
+        quantile(&mut of([0, 3]), 0.5)?,
+        quantile(&mut of([1, 2]), 0.5)?,
+        quantile(&mut ratios, 0.5)?,
+        quantile(&mut ratios, 0.25)?,
+        quantile(&mut ratios, 0.75)?,
+    );
     Ok(())
 }
