@@ -1,5 +1,6 @@
-// The curves of a run, drawn by hand: what each learner gets and what we want, over the steps of both phases.
-import { element, LEARNERS, make, number, svg } from "./dom.js";
+// What each learner gets and what we want: the curves of a run, drawn by hand over the steps of both phases, and
+// where its learners stand, as rows and in words.
+import { element, LEARNERS, make, number, parted, svg } from "./dom.js";
 
 /** Least time between two drawings, milliseconds. */
 const PAUSE = 250;
@@ -197,4 +198,31 @@ function scale(low, high) {
 function ticks(low, high) {
   const step = unit(high - low);
   return Array.from({ length: Math.round((high - low) / step) + 1 }, (_, index) => low + index * step);
+}
+
+/** A row for every learner, by its last evaluation; returns within `tolerance` count as equal. */
+export function scoreRows(scores, tolerance) {
+  return [...scores.values()].map((score) => {
+    const { arm, return: observed, performance } = score;
+    const hacked = parted(score, tolerance);
+    const row = make("tr");
+    const name = make("th", LEARNERS[arm]);
+    name.scope = "row";
+    name.append(make("small", hacked ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", hacked ? "refuse" : "accept"));
+    row.append(name, make("td", number(observed, 1)), make("td", number(performance, 1)));
+    return row;
+  });
+}
+
+const told = (score) => `reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}`;
+
+/** Who took the bait. */
+export function tellAll(scores) {
+  const judged = [...scores.values()].filter(({ arm }) => arm !== "safe");
+  return judged.map((score) => `${LEARNERS[score.arm]}: ${told(score)}, ${parted(score) ? "hacked" : "not hacked"}.`).join(" ");
+}
+
+/** What the learner got with its check, or without. */
+export function tellGate(scores, settings) {
+  return `With the check ${settings.get("scheme") === "none" ? "off" : "on"}: ${told(scores.get("mc"))}.`;
 }

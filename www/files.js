@@ -7,8 +7,13 @@ export const lack = "";
 /** The module of a file. */
 export const load = (name) => import(`./${name}`);
 
-/** The content of a file, as a response. */
-export const get = (name) => fetch(name);
+/** The content of a file, as a response; one was asked for early. */
+export function get(name) {
+  const { early } = globalThis;
+  if (early?.name !== name) return fetch(name);
+  globalThis.early = null;
+  return early.response;
+}
 
 /** A worker that runs a file. */
 export const hire = (name) => new Worker(name, { type: "module" });

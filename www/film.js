@@ -1,4 +1,5 @@
-// Plays the films of two futures synchronously: same start, same length, one scrubber.
+// Plays the films of two futures synchronously: same start, same length, one scrubber. In slow motion a check goes
+// through its named stages, one after the other, without a click.
 import { board, draw } from "./board.js";
 import { deed, element, signed } from "./dom.js";
 
@@ -134,4 +135,43 @@ function caption(film, frame, world) {
   if (frame > film.actions.length) return "the episode is over";
   const predicted = film.predicted[frame - 1] / world.reward_scale;
   return `${deed(world, film.actions[frame - 1], "goes ")}, today’s model expects ${signed(predicted, 1)}`;
+}
+
+/** How long each stage stands before the next one comes, milliseconds. The first refusal is told in eight seconds. */
+const HOLD = [1600, 1500, 700, 1100, 1700, 900];
+/** Speed of the films while they are told. */
+const STORY_SPEED = 4;
+
+/** Tells checks. `ended` is called when a story was told to its end. */
+export function story(moment, film, ended) {
+  let timer = 0;
+  const tell = (stage) => {
+    moment.turn(stage);
+    if (stage === moment.acting) film.tell(STORY_SPEED);
+    if (stage === moment.last) {
+      timer = 0;
+      ended();
+    } else {
+      timer = setTimeout(tell, HOLD[stage], stage + 1);
+    }
+  };
+  return {
+    /** Begins at a stage; where frames are given, with how it goes on if nothing happens. */
+    play(opening, from = 1) {
+      clearTimeout(timer);
+      film.rewind();
+      if (opening) moment.prologue(opening, HOLD[0]);
+      tell(opening ? 0 : from);
+    },
+    get going() {
+      return timer !== 0;
+    },
+    /** Ends it where it is; whether there was one. */
+    stop() {
+      const going = timer !== 0;
+      clearTimeout(timer);
+      timer = 0;
+      return going;
+    },
+  };
 }

@@ -19,11 +19,24 @@ const VIEW = {
   hide: [null, `a list of ${PANELS.join(", ")}`, (text) => text.split(",").every((name) => PANELS.includes(name))],
 };
 const FIRST = "box-moving";
+/** Settings that `mcvl train` has flags for. */
+const FLAGS = ["preset", "seed"];
 
 /** Whether the page has no address: it came with another file, in a frame. */
 const FRAMED = location.protocol === "about:";
 /** The address, or what a page in one file begins with. */
 const asked = () => new URLSearchParams(location.search || document.documentElement.dataset.link);
+/** The tape with which the page opens; its run goes on live. */
+export const OPENING = "tape.json";
+/** The tapes of the worlds. */
+export const RECORDED = {
+  [FIRST]: OPENING,
+  "absent-supervisor": "tapes/absent-supervisor.json",
+  "tomato-watering": "tapes/tomato-watering.json",
+  "rocks-and-diamonds": "tapes/rocks-and-diamonds.json",
+  reacher: "tapes/reacher.json",
+};
+
 /** What the link says, as far as it is sound. */
 let query = asked();
 
@@ -105,4 +118,14 @@ function configuration() {
   const pairs = [...query].filter(([key]) => !Object.hasOwn(VIEW, key));
   if (!pairs.some(([key]) => key === "env")) pairs.unshift(["env", FIRST]);
   return pairs.map(([key, value]) => `${key}=${value}`).join(" ");
+}
+
+/** The command that trains this run natively. */
+export function command(configuration) {
+  const [name, ...rest] = configuration.split(" ");
+  const settings = rest.map((setting) => {
+    const [key, value] = setting.split("=");
+    return FLAGS.includes(key) ? ` --${key} ${value}` : ` --set ${setting}`;
+  });
+  return `mcvl train ${name.slice(4)}${settings.join("")}`;
 }

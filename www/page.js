@@ -1,20 +1,15 @@
 // Puts the panels together: what the worker or a tape says goes to them, what a person does goes into the link.
 import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
-import * as controls from "./controls.js";
-import { curves } from "./curves.js";
+import { curves, scoreRows, tellAll, tellGate } from "./curves.js";
 import { element, LEARNERS, make, number, say } from "./dom.js";
-import { lightUp } from "./explain.js";
 import * as files from "./files.js";
-import { player } from "./film.js";
+import { player, story } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
 import { MODULE } from "./module.js";
 import { momentPanel } from "./moment.js";
 import { same, summarise } from "./record.js";
-import { FIRST, price, RECORDED, rederived } from "./recorded.js";
-import { command, scoreRows, tellAll, tellGate } from "./scores.js";
-import { story } from "./story.js";
 import * as tapes from "./tape.js";
 
 /** Panels that an embedded page leaves out. */
@@ -28,10 +23,10 @@ const REST = 2500;
 /** Frames with which the first story opens: how it goes on if nothing happens. */
 const OPENING = 5;
 
-/** The recorded refusal, asked for before anything else. */
-const recorded = files.get(FIRST).then((response) => response.text());
-// Without it the live run shows the first refusal.
-recorded.catch(() => {});
+/** What the first frame does without. */
+const controls = () => import("./controls.js");
+const recordings = () => import("./recorded.js");
+import("./explain.js").then(({ lightUp }) => lightUp());
 
 const motion = matchMedia("(prefers-reduced-motion: reduce)");
 /** What the link asks for. */
@@ -95,8 +90,8 @@ async function begin(complaint = "", first = false) {
   clear();
   const mine = run;
   if (first) files.keepOffline(MODULE);
-  const recording = first && !text ? (RECORDED[found.plain] ?? null) : null;
-  if (recording === FIRST) await introduce();
+  const recording = first && !text ? (link.RECORDED[found.plain] ?? null) : null;
+  if (recording === link.OPENING) await introduce();
   else if (recording) put({ tape: recording });
   if (view.tape) return fetchTape(view.tape);
   // Something else may have been opened meanwhile.
@@ -174,7 +169,8 @@ function ended(text) {
 async function introduce() {
   const mine = run;
   try {
-    run.intro = tapes.read(await recorded, FIRST);
+    const opening = await files.get(link.OPENING);
+    run.intro = tapes.read(await opening.text(), link.OPENING);
   } catch {
     return;
   }
@@ -424,6 +420,13 @@ async function switchGate(on) {
   await change({ scheme: on ? null : "none" });
 }
 
+/** Says how many recorded decisions came out again. */
+async function compareAgain() {
+  const { rows, intro } = run;
+  const { rederived } = await recordings();
+  if (run.intro === intro) element("status").append(rederived(rows, intro.checks));
+}
+
 /** Ten recorded seeds behind the curves, where somebody looks at them. */
 async function besides() {
   if (!element("sets").open) return chart.behind(null);
@@ -465,10 +468,10 @@ const receive = {
     besides();
     element("trap-end").hidden = !run.trap;
     if (run.trap) tellTrap("Safe training first, without the trap.");
-    controls.fill(settings);
+    controls().then(({ fill }) => fill(settings));
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
-    element("command").textContent = command(configuration);
+    element("command").textContent = link.command(configuration);
     if (!driven) return;
     run.over = true;
     run.held = false;
@@ -520,7 +523,8 @@ const receive = {
 
   done({ seconds }) {
     run.over = true;
-    ended(`Done in ${number(seconds, 1)} seconds.${rederived(run.rows, run.intro?.checks)}`);
+    ended(`Done in ${number(seconds, 1)} seconds.`);
+    if (run.intro) compareAgain();
     if (ballot?.waits) voteOn();
     if (run.trap) tellTrap(tellAll(run.scores));
     if (gate) say("gate-status", `${gate.text} ${tellGate(run.scores, run.settings)}`);
@@ -567,7 +571,7 @@ function openTape(text, name) {
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
   ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
   element("again").hidden = tape.configuration === null || !tape.world.actions.discrete;
-  if (tape.configuration) element("command").textContent = command(tape.configuration);
+  if (tape.configuration) element("command").textContent = link.command(tape.configuration);
   element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");
   playTape(tape);
@@ -575,7 +579,7 @@ function openTape(text, name) {
   const story = [view.check, view.frame, view.stage].every((key) => key === null);
   if (story && run.shown?.modified?.films && !motion.matches && !document.hidden) tell(run.shown);
   const mine = run;
-  if (!element("again").hidden) price(tape, (text) => run === mine && (element("again").textContent = text));
+  if (!element("again").hidden) recordings().then(({ price }) => price(tape, (text) => run === mine && (element("again").textContent = text)));
   return true;
 }
 
@@ -617,7 +621,7 @@ async function submit() {
   if (run.held && !run.edited) return release();
   // A trap is set on a board.
   const trap = element("env").value === run.world?.name ? {} : { trap: null };
-  return change({ env: element("env").value, seed: element("seed").value || "0", ...controls.changed(), ...trap });
+  return change({ env: element("env").value, seed: element("seed").value || "0", ...(await controls()).changed(), ...trap });
 }
 
 /** Begins the run with these settings changed; where there is no such run, that is said, everything stays, and it is false. */
@@ -790,5 +794,4 @@ document.addEventListener("keydown", (event) => {
   }
 });
 
-lightUp();
 begin("", true);

@@ -1,17 +1,7 @@
-// Recorded runs that come with the page, and what it would take to derive one again here.
+// What it takes to derive a recorded run again here, and whether it came out.
 import { calibrate } from "./computer.js";
 import { same } from "./record.js";
 
-/** The tape with which the page opens; its run goes on live. */
-export const FIRST = "tape.json";
-/** The tapes of the worlds. */
-export const RECORDED = {
-  "box-moving": FIRST,
-  "absent-supervisor": "tapes/absent-supervisor.json",
-  "tomato-watering": "tapes/tomato-watering.json",
-  "rocks-and-diamonds": "tapes/rocks-and-diamonds.json",
-  reacher: "tapes/reacher.json",
-};
 /** What is over in less than two of one unit is told in the one before. */
 const UNITS = [["s", 1], ["min", 60], ["h", 3600]];
 

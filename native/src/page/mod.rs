@@ -29,7 +29,7 @@ const BOOT: &str = include_str!("boot.js");
 /// The style sheets, in the order in which the page names them.
 const STYLES: &[(&str, &str)] = www!["style.css", "panels.css"];
 
-/// Its scripts, but for the module `files.js`, in whose place the file brings its own, and the service worker: whoever
+/// Its scripts, but for `early.js` and `files.js`, in whose place the file brings its own, and the service worker: whoever
 /// has the file needs nothing kept.
 const SCRIPTS: &[(&str, &str)] = www![
     "board.js",
@@ -49,8 +49,6 @@ const SCRIPTS: &[(&str, &str)] = www![
     "record.js",
     "recorded.js",
     "redteam.js",
-    "scores.js",
-    "story.js",
     "tape.js",
     "trap.js",
     "vote.js",

@@ -33,7 +33,7 @@ fn every_file_of_the_page_is_in_it() {
     };
     let mut there: BTreeSet<String> = names("").into_iter().chain(names("tapes/")).collect();
     // These are folders, made by the build, or of no use in one file.
-    for name in ["files.js", "pkg", "sw.js", "tapes"] {
+    for name in ["early.js", "files.js", "pkg", "sw.js", "tapes"] {
         there.remove(name);
     }
     let content = || SCRIPTS.iter().chain(RECORDINGS);

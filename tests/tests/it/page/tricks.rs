@@ -76,7 +76,7 @@ fn short_tapes_are_derived_again_to_the_last_bit() {
             format!("go:{}", at(&server, &format!("?tape={name}"))),
             price,
             "eval:document.getElementById('again').click()".to_owned(),
-            DONE.to_owned(),
+            says("status", "came out again"),
             text("status"),
         ];
         let seen = run_of(&commands);
