@@ -56,8 +56,9 @@ async function answer(request) {
   const page = [home, `${home}index.html`].includes(pathname) ? "./" : request;
   try {
     const response = await fetch(request);
-    // Tapes of a run change and may be large: only the page's own files are kept.
-    if (response.ok && (await kept.match(page))) await kept.put(page, response.clone());
+    // Tapes of a run change and may be large: only the page's own files are kept, and its recordings once they were seen.
+    const recording = pathname.startsWith(`${home}tapes/`);
+    if (response.ok && (recording || (await kept.match(page)))) await kept.put(page, response.clone());
     return response;
   } catch (error) {
     const found = await kept.match(page);

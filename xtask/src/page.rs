@@ -106,7 +106,7 @@ pub fn pictures() -> Result<()> {
     commands.extend([reduced, size(1440, 900), page.go(""), still, settle.clone(), shot("reduced-motion")]);
     let error = [media(&[]), page.go("?sed=1"), "until:return !document.getElementById('error').hidden".into()];
     commands.extend(error);
-    commands.extend([settle, shot("malformed-link")]);
+    commands.extend([settle.clone(), shot("malformed-link")]);
     let other = "?env=tomato-watering&seed=3&safe_steps=300&full_steps=300&epsilon_decay=100&forecast=20&evaluations=2\
                  &rollouts=2";
     commands.extend([size(1440, 1000), page.go(other), DONE.into()]);
@@ -130,6 +130,26 @@ pub fn pictures() -> Result<()> {
     }
     commands.extend(["eval:document.querySelector('#wheel > p button').click()".into()]);
     commands.extend(["until:return document.querySelector('#wheel table')".into(), look("drive"), shot("arm")]);
+    let click = |part: &str| format!("eval:document.querySelector('{part}').click()");
+    commands.extend([
+        page.go("?env=rocks-and-diamonds"),
+        TOLD.into(),
+        "eval:delete window.since".into(),
+        settle.clone(),
+    ]);
+    commands.extend([shot("recorded"), page.go("?seed=0&forecast=100&trap=9:5"), DONE.into(), click("#sets summary")]);
+    commands.extend(["until:return document.querySelector('#comparison tbody tr:nth-child(5)')".into()]);
+    commands.extend([
+        click("#comparison tbody tr:nth-child(5) input"),
+        look("results"),
+        "eval:delete window.since".into(),
+    ]);
+    commands.extend([settle, shot("compare"), click("#red-team-start")]);
+    commands.extend([
+        "until:return document.querySelector('#red-team-desk .board')".into(),
+        look("red-team"),
+        shot("red-team"),
+    ]);
     page.drive(&commands)?;
     println!("pictures: {PICTURES}/*.webp");
     Ok(())

@@ -567,7 +567,7 @@ fn dry_run(
     let mut speeds: BTreeMap<&str, Speed> = BTreeMap::new();
     let (mut total, mut done) = (0.0, 0);
     let row = |cell: &str, seeds: &str, expected: &str, config: &str| {
-        let head = format!("{cell:<24}{seeds:<9}{expected:<14}");
+        let head = format!("{cell:<24}{seeds:<9}{expected:<10}");
         format!("{head}{}", wrap(config, head.chars().count(), super::WIDTH).trim_start())
     };
     writeln!(terminal.out, "{}", row("cell", "seeds", "expected", "configuration"))?;

@@ -501,10 +501,14 @@ fn the_second_visit_needs_no_network() {
     let kept = "until:return (await navigator.serviceWorker.getRegistration())?.active?.state === 'activated'";
     let kill = format!("kill:{}", server.id());
     // The module may be fetched again behind the page's back, so the server goes away between visits.
-    let (log, seen) = drive_and_listen(&[&link, kept, &kill, &link]);
-    let (first, second) = (page(&seen[0]), page(&seen[3]));
+    let recording = at(&server, "?env=rocks-and-diamonds");
+    let (log, seen) = drive_and_listen(&[&link, kept, &recording, &kill, &link, &recording]);
+    let (first, second) = (page(&seen[0]), page(&seen[4]));
     assert!(second.status.starts_with("Done in"), "{second:?} {log:?}");
     assert_eq!(first.verdicts, second.verdicts);
+    let (seen, again) = (page(&seen[2]), page(&seen[5]));
+    assert!(again.error.is_empty() && !again.verdicts.is_empty(), "a recording that was seen: {again:?}");
+    assert_eq!(seen.verdicts, again.verdicts);
 }
 
 #[test]

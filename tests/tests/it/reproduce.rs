@@ -28,7 +28,7 @@ fn a_dry_run_lists_the_cells_and_makes_nothing() {
     let folder = scratch();
     let folder = folder.path();
     let said = ok(folder, "reproduce all --dry-run");
-    for part in ["absent-1-12", "env=rocks-and-diamonds rollouts=0", "32 cells, 0 done", "0 to 9", "tomato-spread"] {
+    for part in ["absent-1-12", "env=rocks-and-diamonds rollouts=0", "40 cells, 0 done", "0 to 9", "tomato-spread"] {
         assert!(said.contains(part), "{part} is missing in\n{said}");
     }
     let boxes = said.lines().filter(|line| line.starts_with("box ")).count();
