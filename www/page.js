@@ -98,8 +98,9 @@ async function begin(complaint = "", first = false) {
   if (run === mine) compute(found.configuration, view.token);
 }
 
-/** Forgets the last run. */
+/** Forgets the last run; what it still says comes too late. */
 function clear() {
+  computer.leave();
   stopStory();
   // A verdict of the old run that waits to be spoken is of no interest in the new one.
   clearTimeout(run.speaking);
@@ -554,7 +555,6 @@ function openTape(text, name) {
     say("error", error.message);
     return false;
   }
-  computer.leave();
   say("error", "");
   clear();
   run.over = true;
