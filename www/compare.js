@@ -51,7 +51,7 @@ export async function compare(world, choose) {
   const top = make("thead");
   top.append(head);
   table.append(top, body);
-  const note = "Means at the end of the new world, at the paper’s settings; checks per seed. The band is the 95 % interval of the mean.";
+  const note = "Means at the end of the new world; checks per seed. The band is the 95 % interval of the mean.";
   const scroll = make("div", "", "scroll");
   scroll.tabIndex = 0;
   scroll.setAttribute("role", "region");

@@ -94,24 +94,16 @@ export function curves(open) {
     return `Reward and performance over the steps. Newest: ${words.join("; ")}`;
   };
   const key = () => {
-    const made = ARMS.filter(newest).map((arm) => {
-      const entry = make("span", "", "key");
-      const sample = svg("svg", { viewBox: "0 0 34 20", "aria-hidden": "true" });
-      sample.append(svg("line", { class: `return ${arm}`, x1: 1, x2: 33, y1: 5, y2: 5 }));
-      sample.append(svg("line", { class: `performance ${arm}`, x1: 1, x2: 33, y1: 15, y2: 15 }));
-      entry.append(sample, LEARNERS[arm]);
-      return entry;
-    });
-    const entry = (shape, text) => {
-      const found = make("span", "", "key");
-      found.append(svg("svg", { viewBox: "0 0 34 20", "aria-hidden": "true" }, shape), text);
-      made.push(found);
+    const entry = (text, ...shapes) => {
+      const made = make("span", "", "key");
+      made.append(svg("svg", { viewBox: "0 0 34 20", "aria-hidden": "true" }, ...shapes), text);
+      return made;
     };
-    if (past.length > 0) entry(svg("line", { class: "past", x1: 1, x2: 33, y1: 10, y2: 10 }), "Performance in the run before");
-    if (band) {
-      entry(svg("rect", { class: "band seen", width: 34, height: 20 }), `Reward, ten seeds: ${band.title}`);
-      entry(svg("rect", { class: "band wanted", width: 34, height: 20 }), "their performance");
-    }
+    const line = (kind, y) => svg("line", { class: kind, x1: 1, x2: 33, y1: y, y2: y });
+    const box = (kind) => svg("rect", { class: `band ${kind}`, width: 34, height: 20 });
+    const made = ARMS.filter(newest).map((arm) => entry(LEARNERS[arm], line(`return ${arm}`, 5), line(`performance ${arm}`, 15)));
+    if (past.length > 0) made.push(entry("Performance in the run before", line("past", 10)));
+    if (band) made.push(entry(`Reward, ${band.seeds} seeds: ${band.title}`, box("seen")), entry("their performance", box("wanted")));
     element("curves-key").replaceChildren(...made);
   };
 

@@ -43,6 +43,17 @@ export function make(name, text = "", className = "") {
   return made;
 }
 
+/** A button that does something when it is pressed. */
+export function button(text, pressed) {
+  const made = make("button", text);
+  made.type = "button";
+  made.addEventListener("click", pressed);
+  return made;
+}
+
+/** Where a cell of a board lies, in words. */
+export const whereabouts = (cell, columns) => `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}`;
+
 /** An SVG element with attributes and children. */
 export function svg(name, attributes = {}, ...children) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", name);

@@ -2,7 +2,7 @@
 // score; what the steps were worth is told at the end.
 import { board, draw, drawArm, SPAN } from "./board.js";
 import { drive } from "./computer.js";
-import { deed, element, LEARNERS, make, signed } from "./dom.js";
+import { button, deed, element, LEARNERS, make, signed } from "./dom.js";
 
 /** What keys mean, where the world has such an action. */
 const KEYS = {
@@ -256,12 +256,5 @@ function padButton(name) {
   const made = button(joint ?? SIGNS[name] ?? name, () => act(name));
   if (!joint) made.setAttribute("aria-label", name);
   made.className = name;
-  return made;
-}
-
-function button(text, pressed) {
-  const made = make("button", text);
-  made.type = "button";
-  made.addEventListener("click", pressed);
   return made;
 }

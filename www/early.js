@@ -3,8 +3,9 @@
   const query = new URLSearchParams(location.search);
   const worlds = ["absent-supervisor", "tomato-watering", "rocks-and-diamonds", "reacher"];
   const world = worlds.find((name) => ["env=" + name, `env=${name}&seed=0`].includes(String(query)));
-  const tape = query.get("tape");
-  const name = /^[\w-]+([./][\w-]+)*$/.test(tape) && tape !== null ? tape : world ? `tapes/${world}.json` : "tape.json";
+  // As `link.js` reads it; whatever else the link says is said there.
+  const [tape] = query.get("tape")?.match(/^[\w-]+([./][\w-]+)*$/) ?? [];
+  const name = tape ?? (world ? `tapes/${world}.json` : "tape.json");
   globalThis.early = { name, response: fetch(name) };
   // Whoever asks for it hears of that.
   globalThis.early.response.catch(() => {});

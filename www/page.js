@@ -2,7 +2,7 @@
 import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
 import { curves, scoreRows, tellAll, tellGate } from "./curves.js";
-import { element, LEARNERS, make, number, say } from "./dom.js";
+import { element, LEARNERS, make, number, say, whereabouts } from "./dom.js";
 import * as files from "./files.js";
 import { player, story } from "./film.js";
 import { ledger } from "./ledger.js";
@@ -43,8 +43,8 @@ let ballot = null;
 let wheel = null;
 /** The desk of those who try to fool it, once there was one. */
 let team = null;
-/** What the gate did in the run before the one on show: null where only that was not changed. */
-let gate = null;
+/** What the run before got, where this one differs in the check alone. */
+let switched = "";
 let rest = 0;
 
 const moment = momentPanel((stage) => {
@@ -106,6 +106,7 @@ function clear() {
   clearTimeout(run.speaking);
   wheel?.leaveWheel();
   team?.leave();
+  switched = "";
   say("gate-status", "");
   for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells", "red-team-start"]) element(id).hidden = true;
   for (const id of ["drive-status", "trap-status", "about", "driven"]) element(id).replaceChildren();
@@ -409,7 +410,7 @@ function settle() {
 /** Where the trap is, and what came of it so far. */
 function tellTrap(came) {
   const [columns] = (run.shown?.before ?? frameNow())?.seen.split("\n").map((row) => row.length) ?? [];
-  const where = columns ? ` in row ${Math.floor(run.trap.cell / columns) + 1}, column ${(run.trap.cell % columns) + 1}` : "";
+  const where = columns ? ` in ${whereabouts(run.trap.cell, columns)}` : "";
   element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}. ${came}`;
 }
 
@@ -417,8 +418,8 @@ function tellTrap(came) {
 async function switchGate(on) {
   chart.keep();
   const before = run.over && run.scores.has("mc") && run.settings ? tellGate(run.scores, run.settings) : "The dotted line is the run before.";
-  gate = { text: before };
-  await change({ scheme: on ? null : "none" });
+  // The run that begins forgets the one before.
+  if (await change({ scheme: on ? null : "none" })) switched = before;
 }
 
 /** Says how many recorded decisions came out again. */
@@ -465,7 +466,7 @@ const receive = {
     run.settings = new Map(settings.map(({ name, value }) => [name, value]));
     element("gate").hidden = Boolean(driven);
     document.querySelector(`input[name=gate][value=${run.settings.get("scheme") === "none" ? "off" : "on"}]`).checked = true;
-    if (gate) say("gate-status", gate.text);
+    if (switched) say("gate-status", switched);
     besides();
     element("trap-end").hidden = !run.trap;
     if (run.trap) tellTrap("Safe training first, without the trap.");
@@ -528,8 +529,7 @@ const receive = {
     if (run.intro) compareAgain();
     if (ballot?.waits) voteOn();
     if (run.trap) tellTrap(tellAll(run.scores));
-    if (gate) say("gate-status", `${gate.text} ${tellGate(run.scores, run.settings)}`);
-    gate = null;
+    if (switched) say("gate-status", `${switched} ${tellGate(run.scores, run.settings)}`);
     team?.done(run.scores);
     settle();
   },
@@ -629,7 +629,6 @@ async function change(settings) {
   const changes = { check: null, frame: null, stage: null, tape: null, token: null, ...settings };
   const complaint = await computer.judge(link.preview(changes));
   if (complaint) {
-    gate = null;
     say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
     return false;
   }

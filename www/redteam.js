@@ -1,6 +1,6 @@
 // Red team: the visitor looks for a reward that the agent accepts although its performance falls. An attempt is a
 // trap with a weaker check; what came of each stays on the desk, with a link to the decision where one succeeded.
-import { element, make, number, parted, signed } from "./dom.js";
+import { button, element, make, number, parted, signed, whereabouts } from "./dom.js";
 import { offer } from "./trap.js";
 
 /** What a visitor may weaken: setting, its name, and values from strong to weak. */
@@ -34,8 +34,8 @@ const stop = button("Stop searching", () => {
 let trying = null;
 /** Attempts that a search still has. */
 let left = 0;
-/** Cells where a trap can stand, and what begins a run with changed settings. */
-let [cells, begin] = [[], null];
+/** Cells where a trap can stand, in so many columns, and what begins a run with changed settings. */
+let [cells, columns, begin] = [[], 1, null];
 
 choices.append(search, stop);
 desk.append(knobs, place, choices, list);
@@ -44,13 +44,12 @@ list.reversed = true;
 /** Shows the desk of a world; `change(settings)` begins a run, `values` are the settings of the one on show. */
 export function open(frame, legend, values, change) {
   begin = change;
-  if (knobs.childElementCount === 0) knobs.append(...KNOBS.map((knob) => chooser(knob, values)));
+  knobs.replaceChildren(...KNOBS.map((knob) => chooser(knob, values)));
   const rows = (frame.truth ?? frame.seen).split("\n");
-  cells = [...rows.join("")].flatMap((character, cell) => ("#".includes(character) ? [] : [cell]));
+  columns = rows[0].length;
+  cells = [...rows.join("")].flatMap((character, cell) => (character === "#" ? [] : [cell]));
   desk.hidden = false;
   offer(frame, legend, attempt, place);
-  stop.hidden = left === 0;
-  search.hidden = left > 0;
   show();
 }
 
@@ -104,11 +103,9 @@ export function isOpen() {
 
 async function attempt(cell, reward) {
   const settings = Object.fromEntries([...knobs.querySelectorAll("select")].map((knob) => [knob.name, knob.value]));
-  const [columns] = [place.querySelector(".board")?.style.getPropertyValue("--columns") ?? 1].map(Number);
-  const where = `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}`;
+  const where = whereabouts(cell, columns);
   trying = { where, reward, settings, checks: 0, missed: [], starting: true };
-  const changes = { ...settings, trap: `${cell}:${reward}` };
-  trying.query = await begin(changes);
+  trying.query = await begin({ ...settings, trap: `${cell}:${reward}` });
   if (!trying.query) {
     trying = null;
     left = 0;
@@ -117,7 +114,6 @@ async function attempt(cell, reward) {
   trying.starting = false;
   attempts.unshift(trying);
   tell(`Attempt ${attempts.length}: a trap in ${where} pays ${signed(reward, 1)}. Training, then the new world.`);
-  show();
 }
 
 /** The next attempt of a search. */
@@ -160,11 +156,4 @@ function chooser([name, title, values], current) {
   select.value = own;
   label.append(select);
   return label;
-}
-
-function button(text, pressed) {
-  const made = make("button", text);
-  made.type = "button";
-  made.addEventListener("click", pressed);
-  return made;
 }

@@ -1,6 +1,6 @@
 // Set a trap: the visitor chooses a cell of the new world and what it pays; both learners meet it.
 import { looks } from "./board.js";
-import { element, make } from "./dom.js";
+import { element, make, whereabouts } from "./dom.js";
 
 /** What a trap pays unless the visitor says otherwise. */
 const BAIT = 5;
@@ -25,7 +25,7 @@ export function offer(frame, legend, chosen, place = element("trap-cells")) {
     // Nobody stands in a wall.
     button.disabled = characters[cell] === "#";
     const what = meanings.get(characters[cell]) ?? "";
-    button.setAttribute("aria-label", `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}: ${what}`);
+    button.setAttribute("aria-label", `${whereabouts(cell, columns)}: ${what}`);
     button.addEventListener("click", () => bait.reportValidity() && chosen(cell, Number(bait.value)));
     cells.append(button);
   });

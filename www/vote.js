@@ -1,5 +1,5 @@
 // You decide: the visitor votes on a check before its verdict is shown, and is scored against the agent.
-import { element, make } from "./dom.js";
+import { button, element, make } from "./dom.js";
 
 /** Where the score is kept while the browser's tab is open. */
 const KEPT = "mcvl-votes";
@@ -17,12 +17,7 @@ export function ballot({ cast, next, leave }) {
     const said = make("p", text);
     said.tabIndex = -1;
     const buttons = make("p");
-    for (const [name, pressed] of choices) {
-      const made = make("button", name);
-      made.type = "button";
-      made.addEventListener("click", pressed);
-      buttons.append(made);
-    }
+    buttons.append(...choices.map(([name, pressed]) => button(name, pressed)));
     place.replaceChildren(said, ...(choices.length > 0 ? [buttons] : []));
     place.hidden = false;
     // Whoever pressed a button that is gone goes on here.

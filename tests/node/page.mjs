@@ -8,7 +8,7 @@
 //   cdp:COMMAND JSON        a command of the DevTools protocol
 //   shot:FILE               writes what is visible, as its ending says (png, webp); full:FILE the whole page
 //   frame:SELECTOR          goes on in this frame of the page; without one, in the page again
-//   axe:                    runs axe and gives its violations
+//   axe:                    runs axe on the page standing still and gives its violations
 //   kill:PID                ends a process
 //
 // After a visit or a `do:` the result is what stands on the page; the browser's log comes last.
@@ -164,8 +164,14 @@ async function drive(port, commands) {
     axe: async () => {
       const axe = await readFile(new URL("node_modules/axe-core/axe.min.js", import.meta.url), "utf8");
       await session("execute/sync", { script: axe, args: [] });
+      // What fades in has not its own colours yet: nothing moves while axe looks.
       return run(`
+        const still = new CSSStyleSheet();
+        still.replaceSync("* { transition: none !important }");
+        document.adoptedStyleSheets.push(still);
+        for (const animation of document.getAnimations()) animation.finish();
         const { violations } = await axe.run();
+        document.adoptedStyleSheets.pop();
         return violations.map(({ id, help, nodes }) => ({ id, help, where: nodes.map((node) => node.html) }));`);
     },
     kill: (pid) => void process.kill(Number(pid), "SIGKILL"),

@@ -155,23 +155,47 @@ pub fn pictures() -> Result<()> {
     Ok(())
 }
 
+/// Waits until the first frame is on the screen.
+const FRAMED: &str = "until:return performance.getEntriesByName('first-frame').length > 0";
+/// The next visit is a first one.
+const EMPTY: &str = "cdp:Network.clearBrowserCache";
+
 /// Fast mobile network: 9 Mbit/s and 60 ms, as browsers' own tools slow requests down for it.
 fn mobile_network() -> String {
-    let conditions = json!({
-        "offline": false, "latency": 165, "downloadThroughput": 1_012_500, "uploadThroughput": 168_750,
-    });
+    network(165, 1_012_500, 168_750)
+}
+
+/// The network as it is.
+fn any_network() -> String {
+    network(0, -1, -1)
+}
+
+/// Milliseconds per request, bytes per second down and up; -1 for all there are.
+fn network(latency: i32, down: i32, up: i32) -> String {
+    let conditions =
+        json!({ "offline": false, "latency": latency, "downloadThroughput": down, "uploadThroughput": up });
     format!("cdp:Network.emulateNetworkConditions {conditions}")
+}
+
+/// Collects long tasks of the main thread from the next visit on.
+fn watch_tasks() -> String {
+    let watch = "window.tasks = []; new PerformanceObserver((list) => tasks.push(...list.getEntries()\
+                 .map(({ startTime, duration }) => [startTime, duration]))).observe({ type: 'longtask', buffered: true })";
+    format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", json!({ "source": watch }))
+}
+
+/// When the page passed a mark, milliseconds after the visit began.
+fn mark(name: &str) -> String {
+    format!("eval:return performance.getEntriesByName('{name}')[0].startTime")
+}
+
+fn number(value: &Value) -> Result<f64> {
+    value.as_f64().with_context(|| format!("{value} is no number"))
 }
 
 /// Measures the page's figures and compares them with their goals; fails where one is not met.
 pub fn figures() -> Result<()> {
     let page = Page::serve()?;
-    let watch = "window.tasks = []; new PerformanceObserver((list) => tasks.push(...list.getEntries()\
-                 .map(({ startTime, duration }) => [startTime, duration]))).observe({ type: 'longtask', buffered: true })";
-    let watch = format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", json!({ "source": watch }));
-    let mark = |name: &str| format!("eval:return performance.getEntriesByName('{name}')[0].startTime");
-    let frame = "until:return performance.getEntriesByName('first-frame').length > 0".to_owned();
-    let empty = "cdp:Network.clearBrowserCache".to_owned();
     let longest = "eval:const from = performance.getEntriesByName('first-frame')[0].startTime; \
                    return Math.max(0, ...tasks.filter(([start]) => start > from).map(([, time]) => time))";
     let seconds =
@@ -180,16 +204,11 @@ pub fn figures() -> Result<()> {
         "cdp:Network.enable".into(),
         mobile_network(),
         page.go(""),
-        frame.clone(),
+        FRAMED.into(),
         mark("first-frame"),
-        format!(
-            "cdp:Network.emulateNetworkConditions {}",
-            json!({
-                "offline": false, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1,
-            })
-        ),
-        empty,
-        watch,
+        any_network(),
+        EMPTY.into(),
+        watch_tasks(),
         page.go(""),
         TOLD.into(),
         mark("verdict"),
@@ -197,7 +216,6 @@ pub fn figures() -> Result<()> {
         longest.into(),
         seconds.into(),
     ])?;
-    let number = |value: &Value| value.as_f64().with_context(|| format!("{value} is no number"));
     let mut times: Vec<f64> = seen[13].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
     times.sort_by(f64::total_cmp);
     let median = *times.get(times.len() / 2).context("the run has no check")?;
@@ -208,14 +226,8 @@ pub fn figures() -> Result<()> {
         ("Box Moving verdict live, longest", times[times.len() - 1], 0.5, "s"),
         ("longest main-thread task while training (0: none over 50 ms)", number(&seen[12])?, 50.0, "ms"),
     ];
-    println!("{:<62} {:>9} {:>9}", "figure", "measured", "goal");
-    for (name, value, goal, unit) in rows {
-        println!(
-            "{name:<62} {value:>6.2} {unit:<2} < {goal:>4} {unit:<2} {}",
-            if value < goal { "met" } else { "NOT MET" }
-        );
-    }
-    let mut met = rows.iter().all(|(_, value, goal, _)| value < goal);
+    println!("{:<66} {:>9} {:>9}", "figure", "measured", "goal");
+    let mut met = print_rows("", &rows);
     for (world, short) in WORLDS {
         met &= world_figures(&page, world, *short)?;
     }
@@ -243,28 +255,16 @@ const WORLDS: &[(&str, Option<&str>)] = &[
 
 /// Measures the figures of a world's recorded run, and of a short live one; whether the goals are met.
 fn world_figures(page: &Page, world: &str, short: Option<&str>) -> Result<bool> {
-    let watch = "window.tasks = []; new PerformanceObserver((list) => tasks.push(...list.getEntries()\
-                 .map(({ startTime, duration }) => [startTime, duration]))).observe({ type: 'longtask', buffered: true })";
-    let mark = |name: &str| format!("eval:return performance.getEntriesByName('{name}')[0].startTime");
-    let open = format!(
-        "cdp:Network.emulateNetworkConditions {}",
-        json!({
-            "offline": false, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1,
-        })
-    );
     let mut commands = vec!["cdp:Network.enable".to_owned(), mobile_network(), page.go(&format!("?env={world}"))];
-    commands
-        .extend(["until:return performance.getEntriesByName('first-frame').length > 0".into(), mark("first-frame")]);
-    commands.extend([open, "cdp:Network.clearBrowserCache".into(), page.go(&format!("?env={world}")), TOLD.into()]);
+    commands.extend([FRAMED.into(), mark("first-frame"), any_network(), EMPTY.into()]);
+    commands.extend([page.go(&format!("?env={world}")), TOLD.into()]);
     commands.push(mark("verdict"));
     if let Some(settings) = short {
-        commands.push(format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", json!({ "source": watch })));
-        commands.extend([page.go(&format!("?env={world}&{settings}")), DONE.into()]);
+        commands.extend([watch_tasks(), page.go(&format!("?env={world}&{settings}")), DONE.into()]);
         commands
             .push("eval:return Math.max(0, ...tasks.filter(([start]) => start > 1000).map(([, time]) => time))".into());
     }
     let seen = page.drive(&commands)?;
-    let number = |value: &Value| value.as_f64().with_context(|| format!("{value} is no number"));
     let mut rows = vec![
         ("recorded run, first frame, slowed to fast 4G", number(&seen[4])? / 1000.0, 1.0, "s"),
         ("recorded run, first refusal, no click", number(&seen[9])? / 1000.0, 8.0, "s"),
@@ -272,14 +272,16 @@ fn world_figures(page: &Page, world: &str, short: Option<&str>) -> Result<bool> 
     if short.is_some() {
         rows.push(("longest main-thread task while training live", number(&seen[13])?, 50.0, "ms"));
     }
-    let mut met = true;
+    Ok(print_rows(&format!("{world}: "), &rows))
+}
+
+/// Prints figures beside their goals, each with its unit; whether all are met.
+fn print_rows(about: &str, rows: &[(&str, f64, f64, &str)]) -> bool {
     for (name, value, goal, unit) in rows {
-        let name = format!("{world}: {name}");
         let word = if value < goal { "met" } else { "NOT MET" };
-        println!("{name:<66} {value:>6.2} {unit:<2} < {goal:>4} {unit:<2} {word}");
-        met &= value < goal;
+        println!("{:<66} {value:>6.2} {unit:<2} < {goal:>4} {unit:<2} {word}", format!("{about}{name}"));
     }
-    Ok(met)
+    rows.iter().all(|(_, value, goal, _)| value < goal)
 }
 
 /// Runs whose checks are timed with and without further workers: name and query. With `own_streams=false` no future is
