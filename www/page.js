@@ -504,6 +504,7 @@ const receive = {
     chart.add(report);
     if (report.checks.length === 0) return;
     for (const row of report.checks) run.rows.set(row.number, row);
+    if (report.checks.some(({ number }) => number === run.intro?.checks.at(-1)?.number)) compareAgain();
     team?.judge(report.checks);
     table.add(report.checks, run.world.reward_scale);
     if (run.shown) {

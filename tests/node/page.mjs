@@ -10,6 +10,7 @@
 //   frame:SELECTOR          goes on in this frame of the page; without one, in the page again
 //   axe:                    runs axe on the page standing still and gives its violations
 //   kill:PID                ends a process
+//   patience:MILLISECONDS   waits so long for things from now on
 //
 // After a visit or a `do:` the result is what stands on the page; the browser's log comes last.
 import { spawn, spawnSync } from "node:child_process";
@@ -29,7 +30,7 @@ const SWITCHES = [
   "--hide-scrollbars",
   "--window-size=1440,900",
 ];
-/** Longest wait for a run, milliseconds. */
+/** Longest wait for a run, milliseconds, unless told otherwise. */
 const PATIENCE = 120_000;
 /** How often the page is looked at, milliseconds. */
 const LOOK = 50;
@@ -116,13 +117,14 @@ async function drive(port, commands) {
   const run = (script) => session("execute/sync", { script: `return (async () => { ${script} })()`, args: [] });
   const cdp = (cmd, params = {}) => session("goog/cdp/execute", { cmd, params });
   let visited = Date.now();
+  let patience = PATIENCE;
 
   /** Looks until `good` is true of what `look` gives. */
   const wait = async (look, good, what) => {
     for (const start = Date.now(); ; ) {
       const seen = await look();
       if (good(seen)) return seen;
-      if (Date.now() - start > PATIENCE) throw new Error(`not in ${PATIENCE} ms: ${what}; the page: ${JSON.stringify(await run(READ))}`);
+      if (Date.now() - start > patience) throw new Error(`not in ${patience} ms: ${what}; the page: ${JSON.stringify(await run(READ))}`);
       await new Promise((resolve) => setTimeout(resolve, LOOK));
     }
   };
@@ -174,6 +176,7 @@ async function drive(port, commands) {
         document.adoptedStyleSheets.pop();
         return violations.map(({ id, help, nodes }) => ({ id, help, where: nodes.map((node) => node.html) }));`);
     },
+    patience: (milliseconds) => void (patience = Number(milliseconds)),
     kill: (pid) => void process.kill(Number(pid), "SIGKILL"),
     http: async (rest) => (await visit(`http:${rest}`), read()),
   };

@@ -1,6 +1,7 @@
 //! Automation of the repository: `cargo xtask setup|demo|web|tapes|pictures|figures|test|bench`.
 
 mod demo;
+mod figures;
 mod mujoco;
 mod page;
 mod process;
@@ -45,6 +46,9 @@ enum Command {
         /// Only these, as they lie under www, without the ending
         #[arg(value_name = "NAME")]
         names: Vec<String>,
+        /// Record nothing: derive their decisions again in a browser and compare them bit by bit (minutes each)
+        #[arg(long)]
+        derive: bool,
     },
     /// Measure the page's figures in a browser: first frame, first refusal, verdicts, long tasks
     Figures,
@@ -60,8 +64,9 @@ fn main() -> ExitCode {
         Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
         Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
         Command::Pictures => page::pictures(),
-        Command::Tapes { names } => tapes::record(&names),
-        Command::Figures => page::figures(),
+        Command::Tapes { names, derive: false } => tapes::record(&names),
+        Command::Tapes { names, derive: true } => tapes::derive(&names),
+        Command::Figures => figures::measure(),
         Command::Test => test::test(),
         Command::Bench => process::run(process::cargo().args(["bench", "--package", "mcvl-core"])),
     };

@@ -63,11 +63,13 @@ const RECORDINGS: &[(&str, &str)] = www![
     "tapes/late-hack.json",
     "tapes/no-reset.json",
     "tapes/no-upbringing.json",
+    "tapes/open-walls.json",
     "tapes/reacher.json",
     "tapes/rocks-and-diamonds.json",
     "tapes/short-forecast.json",
     "tapes/short-rollouts.json",
     "tapes/tomato-watering.json",
+    "tapes/twelve-supervisors.json",
     "tapes/wrong-refusal.json",
 ];
 

@@ -26,7 +26,8 @@ struct Tape<'a> {
     /// Returns of its episodes count as equal within this much, raw.
     tolerance: f64,
     legs: Vec<StartRecord>,
-    /// Gradient updates of all legs and forecasts together: what deriving it again costs.
+    /// Gradient updates of all legs and forecasts together until the last of its checks was decided: what deriving them
+    /// again costs.
     updates: u64,
     evaluations: &'a [EvaluationRecord],
     /// Checks with their films, as they stand in the files of the run.
@@ -57,17 +58,20 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
     let world = worlds::spec(&config);
     let leg =
         |arm: Arm| StartRecord { arm, steps: if arm == Arm::Safe { config.safe_steps } else { config.full_steps } };
-    let until = |arm: Arm| read.learner.iter().rev().find(|point| point.arm == arm).map_or(0, |point| point.updates);
-    let safe = until(Arm::Safe);
-    let learned: u64 = plan.learners.iter().map(|agent| until(Arm::of(*agent)).saturating_sub(safe)).sum();
-    let forecast: u64 = read.checks.iter().map(|check| check.cost).sum();
+    // All legs go on side by side from the switch.
+    let decided = &read.checks[..read.checks.iter().rposition(|check| wanted(check.number)).map_or(0, |last| last + 1)];
+    let learned = decided.last().map_or(0, |last| {
+        let safe = read.learner.iter().rev().find(|point| point.arm == Arm::Safe).map_or(0, |point| point.updates);
+        safe + plan.learners.len() as u64 * last.updates.saturating_sub(safe)
+    });
+    let forecast: u64 = decided.iter().map(|check| check.cost).sum();
     let tape = Tape {
         format: FORMAT,
         version: VERSION,
         world: &world,
         legs: [Arm::Safe].into_iter().chain(plan.learners.iter().map(|agent| Arm::of(*agent))).map(leg).collect(),
         configuration: config.to_string(),
-        updates: safe + learned + forecast,
+        updates: learned + forecast,
         tolerance: config.experiment().tolerance,
         evaluations: &read.evaluations,
         checks,
