@@ -47,6 +47,13 @@ const RECORDINGS: &[Recording] = &[
     },
     Recording { name: "tapes/late-hack", env: "rocks-and-diamonds", settings: &[], seed: 2, checks: &[4, 17] },
     Recording {
+        name: "tapes/small-bait",
+        env: "rocks-and-diamonds",
+        settings: &["--set", "variant=plus-one", "--set", "lr_reward=0.001"],
+        seed: 0,
+        checks: &[12, 13],
+    },
+    Recording {
         name: "tapes/twelve-supervisors",
         env: "absent-supervisor",
         settings: &["--set", "supervisors=12", "--set", "lr_reward=0.001"],

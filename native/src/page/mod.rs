@@ -68,6 +68,7 @@ const RECORDINGS: &[(&str, &str)] = www![
     "tapes/rocks-and-diamonds.json",
     "tapes/short-forecast.json",
     "tapes/short-rollouts.json",
+    "tapes/small-bait.json",
     "tapes/tomato-watering.json",
     "tapes/twelve-supervisors.json",
     "tapes/wrong-refusal.json",

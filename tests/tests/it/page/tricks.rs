@@ -2,6 +2,7 @@
 //! points at.
 
 use std::fs;
+use std::path::Path;
 
 use mcvl_core::record::{Arm, Verdict};
 use mcvl_tests::{Server, root};
@@ -218,7 +219,8 @@ fn an_explanation_lights_up_what_it_speaks_of() {
     assert_eq!((&seen[3], &seen[5]), (&json!(["got"]), &json!(0)));
 }
 
-/// A newcomer's way: the refusal is told, a trap is set and judged, with whatever they have.
+/// A newcomer's way: the refusal is told, a trap is set and judged, with whatever they have. What they see of both is
+/// kept as pictures, `target/tmp/walks`.
 struct Walk {
     name: &'static str,
     width: u32,
@@ -236,7 +238,11 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         Walk { name: "phone, reduced motion, keyboard", width: 390, dark: false, reduced: true, keyboard: true },
     ];
     let server = Server::start(None);
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("walks");
+    fs::create_dir_all(&folder).unwrap();
     for walk in walks {
+        let still = "until:return document.getAnimations().length === 0".to_owned();
+        let shot = |of: &str| format!("shot:{}", folder.join(format!("{}, {of}.png", walk.name)).display());
         let press = |id: &str| {
             if walk.keyboard {
                 vec![focus(id), "keys:Enter".to_owned()]
@@ -260,7 +266,11 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
             commands.push(TOLD.into());
         }
         let read = "eval:return ['stamp', 'margin', 'truth'].map((id) => document.getElementById(id).textContent)";
-        commands.extend([read.to_owned(), "until:return !document.getElementById('trap-start').hidden".into()]);
+        commands.extend([
+            shot("refusal"),
+            read.to_owned(),
+            "until:return !document.getElementById('trap-start').hidden".into(),
+        ]);
         let told = commands.len() - 2;
         commands.extend(press("trap-start"));
         commands.push("until:return document.activeElement.id === 'trap-cells-bait'".into());
@@ -272,6 +282,7 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         commands.push("until:return location.search.includes('trap=9')".into());
         commands.extend([DONE.into(), text("trap-status"), "axe:".into()]);
         let heard = commands.len() - 2;
+        commands.extend([still, shot("trap")]);
         commands.push("eval:return document.documentElement.scrollWidth".into());
         let seen = run_of(&commands);
         let [stamp, margin, truth]: [String; 3] = serde_json::from_value(seen[told].clone()).unwrap();
@@ -282,6 +293,6 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         let hacked = said.contains("Ordinary learner: ") && said.contains(", hacked.") && said.ends_with("not hacked.");
         assert!(said.starts_with("A trap in row 5, column 2 pays +5.") && hacked, "{}: {said}", walk.name);
         assert_eq!(seen[heard + 1], json!([]), "{}: axe", walk.name);
-        assert!(seen[heard + 2].as_u64().unwrap() <= u64::from(walk.width), "{}: {}", walk.name, seen[heard + 2]);
+        assert!(seen[heard + 4].as_u64().unwrap() <= u64::from(walk.width), "{}: {}", walk.name, seen[heard + 4]);
     }
 }
