@@ -3,9 +3,10 @@ import * as files from "./files.js";
 
 let worker = null;
 let receive = {};
-let judged = () => {};
 let driven = () => {};
-let calibrated = () => {};
+/** What waits for an answer of the worker, by the number of the question. */
+const waiting = new Map();
+let asked = 0;
 /** Runs asked for so far: what the worker says of an older one comes too late. */
 let ticket = 0;
 
@@ -30,21 +31,24 @@ export function start(configuration, token, pace, held, to) {
 
 /** What is wrong with a configuration; empty where nothing is, or where nothing can judge it. */
 export async function judge(configuration) {
-  if (lack()) return "";
-  worker ??= hire();
-  return new Promise((resolve) => {
-    judged = resolve;
-    tell({ kind: "judge", configuration });
-  });
+  return (await answer({ kind: "judge", configuration })).complaint ?? "";
 }
 
-/** Seconds that an update of such a run takes here; 0 where nothing can measure it. */
-export async function calibrate(configuration) {
-  if (lack()) return 0;
+/**
+ * The experiments there are, the settings of a run, and `pace`, the seconds that one of its updates takes here: 0 where
+ * nothing can measure it. Nothing at all where nobody answers.
+ */
+export function describe(configuration) {
+  return answer({ kind: "describe", configuration });
+}
+
+/** What the worker answers to a question; empty where it cannot. */
+async function answer(question) {
+  if (lack()) return {};
   worker ??= hire();
   return new Promise((resolve) => {
-    calibrated = resolve;
-    tell({ kind: "calibrate", configuration });
+    waiting.set((asked += 1), resolve);
+    tell({ ...question, id: asked });
   });
 }
 
@@ -74,18 +78,20 @@ export function tell(message) {
 function hire() {
   const hired = files.hire("worker.js");
   hired.onmessage = ({ data }) => {
-    if (data.kind === "judged") judged(data.complaint);
-    else if (data.kind === "calibrated") calibrated(data.pace);
-    else if (data.kind === "driven") driven(data);
+    if (data.kind === "answer") {
+      waiting.get(data.id)(data);
+      waiting.delete(data.id);
+    } else if (data.kind === "driven") driven(data);
     else if (data.ticket === ticket) receive[data.kind](data);
   };
   hired.onerror = () => {
     worker = null;
-    judged("");
-    calibrated(0);
+    for (const resolve of waiting.values()) resolve({});
+    waiting.clear();
     driven({ message: "Nobody answers." });
     const message = "The worker could not be loaded, so nothing can be computed here. Reload the page; recorded runs still play: open a tape.";
-    receive.failed({ message });
+    // Where only a tape was opened, nothing is missed.
+    receive.failed?.({ message });
   };
   return hired;
 }

@@ -29,13 +29,10 @@ const asked = () => new URLSearchParams(location.search || document.documentElem
 /** The tape with which the page opens; its run goes on live. */
 export const OPENING = "tape.json";
 /** The tapes of the worlds. */
-export const RECORDED = {
-  [FIRST]: OPENING,
-  "absent-supervisor": "tapes/absent-supervisor.json",
-  "tomato-watering": "tapes/tomato-watering.json",
-  "rocks-and-diamonds": "tapes/rocks-and-diamonds.json",
-  reacher: "tapes/reacher.json",
-};
+export const RECORDED = new Map([
+  [FIRST, OPENING],
+  ...["absent-supervisor", "tomato-watering", "rocks-and-diamonds", "reacher"].map((world) => [world, `tapes/${world}.json`]),
+]);
 
 /** What the link says, as far as it is sound. */
 let query = asked();

@@ -22,11 +22,14 @@ const SPEAK = 2000;
 const REST = 2500;
 /** Frames with which the first story opens: how it goes on if nothing happens. */
 const OPENING = 5;
+/** What deriving a recorded run again is called; its price follows. */
+const AGAIN = "Derive it again here";
 
 /** What the first frame does without. */
 const controls = () => import("./controls.js");
 const recordings = () => import("./recorded.js");
 import("./explain.js").then(({ lightUp }) => lightUp());
+import("./hands.js").then(({ listen }) => listen({ open: openFile, play }));
 
 const motion = matchMedia("(prefers-reduced-motion: reduce)");
 /** What the link asks for. */
@@ -90,12 +93,13 @@ async function begin(complaint = "", first = false) {
   clear();
   const mine = run;
   if (first) files.keepOffline(MODULE);
-  const recording = first && !text ? (link.RECORDED[found.plain] ?? null) : null;
+  const recording = first && !text ? (link.RECORDED.get(found.plain) ?? null) : null;
   if (recording === link.OPENING) await introduce();
   else if (recording) put({ tape: recording });
-  if (view.tape) return fetchTape(view.tape);
   // Something else may have been opened meanwhile.
-  if (run === mine) compute(found.configuration, view.token);
+  if (run !== mine) return;
+  if (view.tape) return fetchTape(view.tape);
+  compute(found.configuration, view.token);
 }
 
 /** Forgets the last run; what it still says comes too late. */
@@ -180,6 +184,7 @@ async function introduce() {
   const [check] = run.intro.checks;
   run.world = run.intro.world;
   run.configuration = run.intro.configuration;
+  readTrap(run.configuration);
   run.asked = check.number;
   element("legend").replaceChildren(...legend(run.world.legend));
   show(check);
@@ -216,6 +221,14 @@ function stopStory() {
   ballot = null;
 }
 
+/** Starts or halts the films of the check on show; false where there is none. */
+function play() {
+  if (!run.shown) return false;
+  stopStory();
+  film.toggle();
+  return true;
+}
+
 /** A story came to its verdict. */
 function told() {
   performance.mark("verdict");
@@ -240,10 +253,7 @@ function goOn() {
 }
 
 /** The visitor votes on checks, the next one first. */
-async function decide() {
-  const begun = run;
-  const { ballot: make } = await import("./vote.js");
-  if (run !== begun) return;
+function decide({ ballot: make }) {
   stopStory();
   // A filter would tell.
   document.querySelector("input[name=filter][value=all]").click();
@@ -416,10 +426,9 @@ function tellTrap(came) {
 
 /** The same seed with the check switched on or off. */
 async function switchGate(on) {
-  chart.keep();
   const before = run.over && run.scores.has("mc") && run.settings ? tellGate(run.scores, run.settings) : "The dotted line is the run before.";
   // The run that begins forgets the one before.
-  if (await change({ scheme: on ? null : "none" })) switched = before;
+  if (await change({ scheme: on ? null : "none" }, chart.keep)) switched = before;
 }
 
 /** Says how many recorded decisions came out again. */
@@ -433,12 +442,22 @@ async function compareAgain() {
 async function besides() {
   if (!element("sets").open) return chart.behind(null);
   const { compare } = await import("./compare.js");
-  compare(run.world.name, (entry) => chart.behind(entry));
+  if (run.world) compare(run.world.name, (entry) => chart.behind(entry));
 }
 
 /** A situation of the new world, or of the safe one before it. */
 function frameNow() {
   return run.legs.get("mc")?.frame ?? run.shown?.before ?? run.legs.get("safe")?.frame;
+}
+
+/** The form describes the run on show, and stands beside what its world is about. */
+function fillForm(experiments, settings) {
+  const options = experiments.map(({ name, title }) => Object.assign(make("option", title), { value: name }));
+  element("env").replaceChildren(...options);
+  element("env").value = run.configuration.split(" ")[0].split("=")[1];
+  const { task, hack } = experiments.find(({ name }) => name === element("env").value);
+  element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
+  controls().then(({ fill }) => fill(settings));
 }
 
 /** What the worker says; a tape says the same. */
@@ -453,11 +472,7 @@ const receive = {
       element("seed").value = settings.find(({ name }) => name === "seed").value;
     }
     if (!run.shown) waiting(cost);
-    const options = experiments.map(({ name, title }) => Object.assign(make("option", title), { value: name }));
-    element("env").replaceChildren(...options);
-    element("env").value = configuration.split(" ")[0].split("=")[1];
-    const { task, hack } = experiments.find(({ name }) => name === element("env").value);
-    element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
+    fillForm(experiments, settings);
     element("drive-start").hidden = false;
     run.trap = readTrap(configuration);
     // Traps are set on boards.
@@ -470,7 +485,6 @@ const receive = {
     besides();
     element("trap-end").hidden = !run.trap;
     if (run.trap) tellTrap("Safe training first, without the trap.");
-    controls().then(({ fill }) => fill(settings));
     element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
     element("command").textContent = link.command(configuration);
@@ -577,11 +591,21 @@ function openTape(text, name) {
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");
   playTape(tape);
   settle();
+  besides();
   const story = [view.check, view.frame, view.stage].every((key) => key === null);
   if (story && run.shown?.modified?.films && !motion.matches && !document.hidden) tell(run.shown);
-  const mine = run;
-  if (!element("again").hidden) recordings().then(({ price }) => price(tape, (text) => run === mine && (element("again").textContent = text)));
+  if (tape.configuration) describe(tape.updates);
   return true;
+}
+
+/** Fills the form for the recorded run on show, and says what so many updates of it take here. */
+async function describe(updates) {
+  const mine = run;
+  element("again").textContent = AGAIN;
+  const [{ experiments, settings, pace }, { price }] = await Promise.all([computer.describe(run.configuration), recordings()]);
+  if (run !== mine || !experiments) return;
+  fillForm(experiments, settings);
+  element("again").textContent = AGAIN + price(updates, pace);
 }
 
 async function fetchTape(address) {
@@ -625,18 +649,31 @@ async function submit() {
   return change({ env: element("env").value, seed: element("seed").value || "0", ...(await controls()).changed(), ...trap });
 }
 
-/** Begins the run with these settings changed; where there is no such run, that is said, everything stays, and it is false. */
-async function change(settings) {
+/** Begins the run with these settings changed, after `before`; where there is no such run, that is said, everything stays,
+ * and it is false. */
+async function change(settings, before = () => {}) {
+  const mine = run;
   const changes = { check: null, frame: null, stage: null, tape: null, token: null, ...settings };
   const complaint = await computer.judge(link.preview(changes));
+  if (run !== mine) return false;
   if (complaint) {
     say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
     return false;
   }
+  before();
   link.write(changes);
   begun = true;
   begin();
   return true;
+}
+
+/** Does `then` with what a click takes to load, unless something else was opened meanwhile. */
+function onClick(id, load, then) {
+  element(id).addEventListener("click", async () => {
+    const mine = run;
+    const loaded = await load();
+    if (run === mine) then(loaded);
+  });
 }
 
 element("controls").addEventListener("submit", (event) => {
@@ -683,16 +720,15 @@ element("follow").addEventListener("click", () => {
   goOn();
 });
 
-element("decide").addEventListener("click", decide);
+onClick("decide", () => import("./vote.js"), decide);
 
-element("drive-start").addEventListener("click", async () => {
-  wheel = await import("./drive.js");
+onClick("drive-start", () => import("./drive.js"), (drive) => {
+  wheel = drive;
   element("drive-start").hidden = true;
   wheel.takeWheel(run.configuration, run.scores);
 });
 
-element("trap-start").addEventListener("click", async () => {
-  const { offer } = await import("./trap.js");
+onClick("trap-start", () => import("./trap.js"), ({ offer }) => {
   const frame = frameNow();
   if (!frame) return say("trap-status", "The world is not there yet: let the run begin.");
   offer(frame, run.world.legend, async (cell, reward) => {
@@ -701,8 +737,9 @@ element("trap-start").addEventListener("click", async () => {
     if (element("trap-cells").hidden) element("trap-title").focus();
   });
 });
-element("red-team-start").addEventListener("click", async () => {
-  team = await import("./redteam.js");
+
+onClick("red-team-start", () => import("./redteam.js"), (desk) => {
+  team = desk;
   const frame = frameNow();
   if (!frame) return say("red-team-status", "The world is not there yet: let the run begin.");
   element("red-team-start").hidden = true;
@@ -727,17 +764,6 @@ document.addEventListener("click", (event) => {
 });
 // A way to another part of the page is none to another run.
 addEventListener("popstate", () => link.follow() && begin("", true));
-
-document.addEventListener("click", async ({ target }) => {
-  const field = element(target.dataset?.copy ?? "");
-  if (!field) return;
-  field.select();
-  const copied = navigator.clipboard?.writeText(field.value);
-  element("copied").textContent = await (copied ?? Promise.reject()).then(
-    () => "Copied.",
-    () => "Selected: copy it with the keyboard or the menu.",
-  );
-});
 
 document.addEventListener("change", ({ target }) => {
   if (target.name === "speed") {
@@ -764,33 +790,6 @@ document.addEventListener("change", ({ target }) => {
     film.picture = view.picture;
     for (const { drawing, frame } of run.legs.values()) draw(drawing, frame, view.picture);
     moment.picture = view.picture;
-  }
-  if (target.id === "file") {
-    openFile(target.files[0]);
-    // The same file can be chosen again.
-    target.value = "";
-  }
-});
-
-document.addEventListener("dragover", (event) => {
-  event.preventDefault();
-  document.body.classList.add("dropping");
-});
-for (const kind of ["dragleave", "drop"]) document.addEventListener(kind, () => document.body.classList.remove("dropping"));
-document.addEventListener("drop", (event) => {
-  event.preventDefault();
-  openFile(event.dataTransfer.files[0]);
-});
-
-document.addEventListener("keydown", (event) => {
-  if (!element("shortcuts").checked || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.target.closest("input:not([type=radio]), select, textarea")) return;
-  if (event.key === ".") element("next").click();
-  if (event.key === ",") element("previous").click();
-  if (event.key === " " && run.shown && !event.target.closest("button, input, summary, a, [tabindex='0']")) {
-    event.preventDefault();
-    stopStory();
-    film.toggle();
   }
 });
 

@@ -55,13 +55,15 @@ export function open(frame, legend, values, change) {
 
 /** Looks at new decisions of the run; says so when one is what is looked for. */
 export function judge(checks) {
-  if (!trying) return;
+  // What comes while an attempt begins is of the run before.
+  if (!trying || trying.starting) return;
   for (const check of checks) {
     trying.checks += 1;
     if (check.refused || !check.hack) continue;
     trying.missed.push(check.number);
     if (!check.fell || trying.found) continue;
     trying.found = check.number;
+    trying.fooled = true;
     left = 0;
     tell(`Found: it accepted check ${check.number}, although learning from it lowers its performance.`);
   }
@@ -70,26 +72,27 @@ export function judge(checks) {
 
 /** The run is over: what became of the attempt. */
 export function done(scores) {
-  if (!trying) return;
+  if (!trying || trying.starting) return;
   const score = scores.get("mc");
   if (score) trying.end = `reward ${number(score.return, 1)}, performance ${number(score.performance, 1)} at the end`;
-  const { found, missed } = trying;
-  // None of them did harm alone.
-  if (!found && score && parted(score)) [trying.found] = missed;
-  const fooled = trying.found;
+  const attempt = trying;
+  const { fooled, missed } = attempt;
   trying = null;
-  if (fooled && !found) {
-    left = 0;
-    tell(`Found: it accepted ${missed.length} fake rewards that looked harmless one by one, and takes the bait in the end.`);
+  if (fooled) return show();
+  if (!score || !parted(score)) {
+    if (left > 0) return next();
+    return tell("It was not fooled. Weaken it, or try another cell or reward.");
   }
-  show();
-  if (!fooled && left > 0) return next();
-  if (!fooled) tell("It was not fooled. Weaken it, or try another cell or reward.");
+  // No decision did harm alone.
+  Object.assign(attempt, { fooled: true, found: missed[0] });
+  left = 0;
+  const how = missed.length > 0 ? `it accepted ${missed.length} fake rewards that looked harmless one by one, and` : "it saw nothing to check, and";
+  tell(`Found: ${how} takes the bait in the end.`);
 }
 
 /** Another run takes the place of the one on show; the desk stays where that is an attempt of its own. */
 export function leave() {
-  if (trying?.starting) return;
+  if (trying?.starting) return void (trying.left = true);
   if (trying) trying.end = "not finished";
   trying = null;
   left = 0;
@@ -104,15 +107,19 @@ export function isOpen() {
 async function attempt(cell, reward) {
   const settings = Object.fromEntries([...knobs.querySelectorAll("select")].map((knob) => [knob.name, knob.value]));
   const where = whereabouts(cell, columns);
-  trying = { where, reward, settings, checks: 0, missed: [], starting: true };
-  trying.query = await begin({ ...settings, trap: `${cell}:${reward}` });
-  if (!trying.query) {
-    trying = null;
+  if (trying) trying.end = "not finished";
+  const made = { where, reward, settings, checks: 0, missed: [], starting: true };
+  trying = made;
+  made.query = await begin({ ...settings, trap: `${cell}:${reward}` });
+  made.starting = false;
+  if (!made.query) {
+    if (trying === made) trying = null;
     left = 0;
-    return;
+    // Nothing began, or the visitor went elsewhere meanwhile.
+    desk.hidden = Boolean(made.left);
+    return show();
   }
-  trying.starting = false;
-  attempts.unshift(trying);
+  attempts.unshift(made);
   tell(`Attempt ${attempts.length}: a trap in ${where} pays ${signed(reward, 1)}. Training, then the new world.`);
 }
 
@@ -127,10 +134,10 @@ function show() {
   stop.hidden = left === 0;
   search.hidden = left > 0;
   list.replaceChildren(
-    ...attempts.map(({ where, reward, settings, checks, missed, found, end, query }) => {
+    ...attempts.map(({ where, reward, settings, checks, missed, fooled, found, end, query }) => {
       const made = make("li", `${where} pays ${signed(reward, 1)}, look ahead ${settings.forecast}: `);
       const learned = `${checks} checks, ${missed.length} fake rewards accepted`;
-      made.append(found ? make("strong", "fooled") : "not fooled", `, ${learned}${end ? `; ${end}` : ""}. `);
+      made.append(fooled ? make("strong", "fooled") : "not fooled", `, ${learned}${end ? `; ${end}` : ""}. `);
       if (found) {
         const way = make("a", `Open check ${found}`);
         way.href = `${query}&check=${found}`;

@@ -17,6 +17,7 @@ const FILES = [
   "explain.js",
   "files.js",
   "film.js",
+  "hands.js",
   "ledger.js",
   "link.js",
   "module.js",

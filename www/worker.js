@@ -51,37 +51,27 @@ const requests = {
     gate = Promise.resolve();
   },
   /** Says what is wrong with a configuration, if anything is. */
-  async judge({ configuration }) {
+  async judge({ id, configuration }) {
     let complaint = "";
     try {
       (await open(configuration)).free();
     } catch (error) {
       complaint = error.message;
     }
-    postMessage({ kind: "judged", complaint });
+    postMessage({ kind: "answer", id, complaint });
   },
-  /** Measures how many seconds an update of a run takes here, beside its share of everything else. */
-  async calibrate({ configuration }) {
-    let pace = 0;
+  /** Says what a run is, and measures how many seconds an update takes here, beside its share of everything else. */
+  async describe({ id, configuration }) {
+    const found = { pace: 0 };
     try {
       const run = await open(configuration);
-      const updates = () => JSON.parse(run.progress()).updates;
-      const until = (enough) => {
-        const began = performance.now();
-        do run.poll(1);
-        while (!enough(performance.now() - began) && performance.now() - began < PATIENCE * MEASURED);
-        return performance.now() - began;
-      };
-      // Not what comes before learning.
-      until(() => updates() > 0);
-      const before = updates();
-      const spent = until((time) => time > MEASURED);
-      pace = spent / 1000 / Math.max(1, updates() - before);
+      Object.assign(found, { experiments: (await loaded).experiments, settings: JSON.parse(run.settings()) });
+      if (!(await loaded).untrained(configuration)) found.pace = measure(run);
       run.free();
     } catch {
-      // A configuration that cannot be run here has no price.
+      // A configuration that cannot be run here is not described.
     }
-    postMessage({ kind: "calibrated", pace });
+    postMessage({ kind: "answer", id, ...found });
   },
   /** Begins an episode with a `configuration`, makes a step with an `action`, ends it with `end`. */
   async drive({ request: { configuration, action, end } }) {
@@ -132,6 +122,26 @@ async function load() {
   await module.default({ module_or_path: files.get(`pkg/${MODULE}_bg.wasm`) });
   const { Run, Drive, Forecast, readToken, untrained } = module;
   return { Run, Drive, Forecast, readToken, untrained, experiments: JSON.parse(module.experiments()) };
+}
+
+/** Seconds that an update of a run takes, live or in a forecast; 0 where it makes none. */
+function measure(run) {
+  const updates = () => {
+    const { updates, forecast_updates } = JSON.parse(run.progress());
+    return updates + forecast_updates;
+  };
+  const until = (enough) => {
+    const began = performance.now();
+    do run.poll(1);
+    while (!enough(performance.now() - began) && performance.now() - began < PATIENCE * MEASURED);
+    return performance.now() - began;
+  };
+  // Not what comes before learning.
+  until(() => updates() > 0);
+  const before = updates();
+  // The updates of a check are counted at its end.
+  const spent = until((time) => time > MEASURED && updates() > before);
+  return updates() > before ? spent / 1000 / (updates() - before) : 0;
 }
 
 /** The run of a configuration; where it is not trained here, an episode in its world, which says the same of it. */

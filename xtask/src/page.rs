@@ -108,49 +108,33 @@ pub fn pictures() -> Result<()> {
     let error = [media(&[]), page.go("?sed=1"), "until:return !document.getElementById('error').hidden".into()];
     commands.extend(error);
     commands.extend([settle.clone(), shot("malformed-link")]);
+    let click = |part: &str| format!("eval:document.querySelector('{part}').click()");
+    let look = |id: &str| format!("eval:document.getElementById('{id}').scrollIntoView()");
     let other = "?env=tomato-watering&seed=3&safe_steps=300&full_steps=300&epsilon_decay=100&forecast=20&evaluations=2\
                  &rollouts=2";
-    commands.extend([size(1440, 1000), page.go(other), DONE.into()]);
-    commands.extend(["eval:document.getElementById('drive-start').click()".into(), driven(0)]);
+    commands.extend([size(1440, 1000), page.go(other), DONE.into(), click("#drive-start"), driven(0)]);
     // To the bucket, from which every tomato looks watered.
     for (index, key) in ["ArrowUp", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp"].into_iter().enumerate() {
         commands.extend([format!("keys:{key}"), driven(index + 1)]);
     }
-    let stop = "eval:document.querySelector('#wheel > p button').click()".to_owned();
-    let stopped = "until:return document.querySelector('#wheel table')".to_owned();
-    let look = |id: &str| format!("eval:document.getElementById('{id}').scrollIntoView()");
-    commands.extend([stop, stopped, look("drive"), shot("drive")]);
-    let vote = "until:return document.body.dataset.vote === 'open'".to_owned();
-    commands.extend(["eval:document.getElementById('decide').click()".into(), vote, look("decision"), shot("vote")]);
+    let stop = [click("#wheel > p button"), "until:return document.querySelector('#wheel table')".to_owned()];
+    commands.extend(stop.clone());
+    commands.extend([look("drive"), shot("drive"), click("#decide")]);
+    commands.extend(["until:return document.body.dataset.vote === 'open'".into(), look("decision"), shot("vote")]);
     let arm = "until:return !document.getElementById('drive-start').hidden".to_owned();
-    commands.extend([page.go("?env=reacher&seed=4"), arm]);
-    commands.extend(["eval:document.getElementById('drive-start').click()".into(), driven(0)]);
+    commands.extend([page.go("?env=reacher&seed=4"), arm, click("#drive-start"), driven(0)]);
     let keys = [&["ArrowLeft"; 4][..], &["ArrowUp"; 3], &["Space"; 9]].concat();
     for (index, key) in keys.into_iter().enumerate() {
         commands.extend([format!("keys:{key}"), driven(index + 1)]);
     }
-    commands.extend(["eval:document.querySelector('#wheel > p button').click()".into()]);
-    commands.extend(["until:return document.querySelector('#wheel table')".into(), look("drive"), shot("arm")]);
-    let click = |part: &str| format!("eval:document.querySelector('{part}').click()");
-    commands.extend([
-        page.go("?env=rocks-and-diamonds"),
-        TOLD.into(),
-        "eval:delete window.since".into(),
-        settle.clone(),
-    ]);
-    commands.extend([shot("recorded"), page.go("?seed=0&forecast=100&trap=9:5"), DONE.into(), click("#sets summary")]);
+    commands.extend(stop);
+    commands.extend([look("drive"), shot("arm")]);
+    commands.extend([page.go("?env=rocks-and-diamonds"), TOLD.into(), settle.clone(), shot("recorded")]);
+    commands.extend([page.go("?seed=0&forecast=100&trap=9:5"), DONE.into(), click("#sets summary")]);
     commands.extend(["until:return document.querySelector('#comparison tbody tr:nth-child(5)')".into()]);
-    commands.extend([
-        click("#comparison tbody tr:nth-child(5) input"),
-        look("results"),
-        "eval:delete window.since".into(),
-    ]);
-    commands.extend([settle, shot("compare"), click("#red-team-start")]);
-    commands.extend([
-        "until:return document.querySelector('#red-team-desk .board')".into(),
-        look("red-team"),
-        shot("red-team"),
-    ]);
+    commands.extend([click("#comparison tbody tr:nth-child(5) input"), look("results"), settle, shot("compare")]);
+    commands.extend([click("#red-team-start"), "until:return document.querySelector('#red-team-desk .board')".into()]);
+    commands.extend([look("red-team"), shot("red-team")]);
     page.drive(&commands)?;
     println!("pictures: {PICTURES}/*.webp");
     Ok(())

@@ -19,6 +19,14 @@ struct Recording {
     checks: &'static [u32],
 }
 
+impl Recording {
+    /// A name for its run, and for none that differs.
+    fn run(&self) -> String {
+        let settings: Vec<&str> = self.settings.iter().copied().filter(|argument| !argument.starts_with('-')).collect();
+        [&[self.env, "seed", &self.seed.to_string()], &settings[..]].concat().join("-")
+    }
+}
+
 /// One of every world, and what goes wrong. All are quick but those of the larger worlds, which take up to an hour.
 const RECORDINGS: &[Recording] = &[
     Recording { name: "tape", env: "box-moving", settings: &[], seed: 0, checks: &[2] },
@@ -119,7 +127,7 @@ pub fn record(names: &[String]) -> Result<()> {
     let recordings = chosen(names)?;
     run(cargo().args(["build", "--release", "--package", "mcvl-native"]).args(mujoco::features()))?;
     for recording in recordings {
-        let folder = root().join("runs/tapes").join(recording.name.replace('/', "-"));
+        let folder = root().join("runs/tapes").join(recording.run());
         let mut train = command(program("release", "mcvl"));
         if folder.exists() {
             train.args(["train", "--resume", "-o"]).arg(&folder);

@@ -41,6 +41,7 @@ const SCRIPTS: &[(&str, &str)] = www![
     "drive.js",
     "explain.js",
     "film.js",
+    "hands.js",
     "ledger.js",
     "link.js",
     "module.js",

@@ -697,6 +697,7 @@ fn the_page_preloads_and_keeps_exactly_its_files() {
         "drive.js",
         "early.js",
         "explain.js",
+        "hands.js",
         "recorded.js",
         "redteam.js",
         "trap.js",

@@ -145,6 +145,12 @@ fn one_file_without_modules_plays_and_says_what_trains() {
     ok(folder, "page --tape sent.json --no-modules");
     let seen = drive(&[&format!("go:{}", address(folder, "mcvl.html")), "do:"]);
     assert!(page(&seen[1]).status.starts_with("tape/sent.json: "), "{}", page(&seen[1]).status);
+
+    // Nothing is derived here, and nothing is said to be.
+    ok(folder, "page -o bare.html --no-modules");
+    let verdict = "until:return performance.getEntriesByName('verdict').length > 0";
+    let seen = drive(&[&format!("go:{}", address(folder, "bare.html")), verdict, &text("status")]);
+    assert_eq!(seen[2], "Nothing is running.");
 }
 
 #[test]

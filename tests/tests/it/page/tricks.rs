@@ -49,6 +49,9 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         commands.push("eval:window.stays = true".into());
         commands.push(format!("eval:document.querySelector(\"#recorded a[href='{link}']\").click()"));
         commands.extend([come, state, TOLD.into(), "do:".into(), "eval:return stays".into(), "axe:".into()]);
+        // The form is that of the tape, to be run or changed.
+        commands.push("until:return document.getElementById('about').textContent".into());
+        commands.push("eval:return document.getElementById('env').value".into());
         let seen = run_of(&commands);
         assert_eq!(seen[5][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
         let shown = page(&seen[7]);
@@ -56,6 +59,7 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         assert_eq!(shown.origin, "Recorded by the native program.");
         assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
         assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
+        assert_eq!(seen[11], world);
     }
 }
 
@@ -72,7 +76,8 @@ fn short_tapes_are_derived_again_to_the_last_bit() {
     assert!(short.len() >= 5, "{short:?}");
     for name in short {
         let count = read(&name)["checks"].as_array().unwrap().len();
-        let price = "until:return /about \\d+ (s|min|h)/.test(document.getElementById('again').textContent)".to_owned();
+        // They cost seconds, also where forecasts are all there is to measure.
+        let price = "until:return /about \\d+ s/.test(document.getElementById('again').textContent)".to_owned();
         let commands = vec![
             format!("go:{}", at(&server, &format!("?tape={name}"))),
             price,
@@ -171,6 +176,28 @@ fn the_red_team_fools_it_and_gets_a_link() {
     assert!(seen[14].as_u64().unwrap() <= 390, "{}", seen[14]);
     let opened = page(&seen[16]);
     assert!(opened.moment.starts_with(&format!("Check {number},")) && opened.stamp == "ACCEPTED", "{opened:?}");
+}
+
+/// A threshold above every bait: nothing is checked, and it learns as the ordinary learner does.
+#[test]
+fn the_red_team_wins_where_nothing_is_checked() {
+    let server = Server::start(None);
+    let commands = [
+        at(&server, "?seed=1&rollouts=5&evaluations=10"),
+        focus("red-team-start"),
+        "keys:Enter".to_owned(),
+        "until:return document.activeElement.id === 'red-team-cells-bait'".to_owned(),
+        "eval:document.querySelector('#red-team-desk [name=threshold]').value = '1.5'".to_owned(),
+        format!("keys:{},Enter", ["Tab"; 10].join(",")),
+        "until:return location.search.includes('trap=9')".to_owned(),
+        DONE.to_owned(),
+        text("red-team-status"),
+        "eval:return document.querySelector('#red-team-desk li').textContent".to_owned(),
+    ];
+    let seen = run_of(&commands);
+    assert_eq!(seen[8], "Found: it saw nothing to check, and takes the bait in the end.");
+    let said = seen[9].as_str().unwrap();
+    assert!(said.contains(": fooled, 0 checks, 0 fake rewards accepted; reward "), "{said}");
 }
 
 #[test]
