@@ -94,7 +94,9 @@ export function draw(target, frame, picture, other) {
   target.replaceChildren(
     ...looks(shown).map(([sign, kind], index) => {
       const differs = compared !== null && compared[index] !== all[index];
-      const trapped = trap?.cell === index && target.dataset.safe === undefined;
+      // An agent on a bait covers it.
+      const paid = all[index] === "A" && compared?.[index] === "$";
+      const trapped = paid || (trap?.cell === index && target.dataset.safe === undefined);
       const shown = trapped && sign + kind === "" ? trap.sign : sign;
       return make("div", shown, `cell ${kind} ${differs ? "differs" : ""} ${trapped ? "trapped" : ""}`);
     }),

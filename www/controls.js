@@ -4,8 +4,13 @@ import { element, make } from "./dom.js";
 /** Settings with a place of their own, or none on a page that always shows both learners. */
 const ELSEWHERE = ["seed", "agent"];
 
-/** Fills the form with the settings of the run that begins. */
-export function fill(settings) {
+/** The form describes a run, of one of the experiments there are, and stands beside what its world is about. */
+export function fill(experiments, settings, configuration) {
+  const options = experiments.map(({ name, title }) => Object.assign(make("option", title), { value: name }));
+  element("env").replaceChildren(...options);
+  element("env").value = configuration.split(" ")[0].split("=")[1];
+  const { task, hack } = experiments.find(({ name }) => name === element("env").value);
+  element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
   const fields = settings
     .filter(({ name }) => !ELSEWHERE.includes(name))
     .map(({ name, value, standard, help, range, source }) => {

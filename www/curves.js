@@ -192,15 +192,17 @@ function ticks(low, high) {
   return Array.from({ length: Math.round((high - low) / step) + 1 }, (_, index) => low + index * step);
 }
 
-/** A row for every learner, by its last evaluation; returns within `tolerance` count as equal. */
-export function scoreRows(scores, tolerance) {
+/** A row for every learner, by its last evaluation, which is its end once the run is `over`; returns within `tolerance`
+ * count as equal. */
+export function scoreRows(scores, tolerance, over) {
   return [...scores.values()].map((score) => {
     const { arm, return: observed, performance } = score;
     const hacked = parted(score, tolerance);
     const row = make("tr");
     const name = make("th", LEARNERS[arm]);
     name.scope = "row";
-    name.append(make("small", hacked ? "✕ gets more than it earns: hacked" : "✓ gets what it earns", hacked ? "refuse" : "accept"));
+    const honest = over || arm === "safe" ? "✓ gets what it earns" : "gets what it earns so far";
+    name.append(make("small", hacked ? "✕ gets more than it earns: hacked" : honest, hacked ? "refuse" : over ? "accept" : "quiet"));
     row.append(name, make("td", number(observed, 1)), make("td", number(performance, 1)));
     return row;
   });
@@ -208,10 +210,14 @@ export function scoreRows(scores, tolerance) {
 
 const told = (score) => `reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}`;
 
-/** Who took the bait. */
-export function tellAll(scores) {
+/** Who took the bait at the end, a line each; `tempted` has the last step at which it paid each. */
+export function tellAll(scores, tempted) {
   const judged = [...scores.values()].filter(({ arm }) => arm !== "safe");
-  return judged.map((score) => `${LEARNERS[score.arm]}: ${told(score)}, ${parted(score) ? "hacked" : "not hacked"}.`).join(" ");
+  const lines = judged.map((score) => {
+    const before = tempted.has(score.arm) ? `, though the bait paid it until step ${tempted.get(score.arm)}` : "";
+    return `${LEARNERS[score.arm]}: ${told(score)} at the end, ${parted(score) ? "hacked" : `not hacked${before}`}.`;
+  });
+  return lines.join("\n");
 }
 
 /** What the learner got with its check, or without. */

@@ -10,6 +10,9 @@ export const LEARNERS = {
   "frozen-reward": "Learner with a frozen reward model",
 };
 
+/** The learner with a check is called by what it does. */
+export const callChecked = (on) => (LEARNERS.mc = on ? "Modification-considering learner" : "The same learner, its check off");
+
 /** Whether drawings have the width of a phone. */
 export const narrow = matchMedia("(max-width: 40rem)");
 export const element = (id) => document.getElementById(id);

@@ -89,7 +89,8 @@ function line(check, scale) {
       ? ["–", "–", "–"]
       : [number(check.modified, 3), number(check.unmodified, 3), signed(check.margin, 3)]),
   ];
-  const verdict = make("td", check.refused ? "✕ refused" : "✓ accepted", check.refused ? "word refuse" : "word accept");
+  const word = `${check.refused ? "✕ refused" : "✓ accepted"}${check.wrong ? ", wrongly" : ""}`;
+  const verdict = make("td", word, check.refused || check.wrong ? "word refuse" : "word accept");
   row.append(first, verdict, make("td", check.step), ...numbers.map((text) => make("td", text)));
   row.append(make("td", check.hack ? "fake" : "honest", "word"));
   return row;

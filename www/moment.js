@@ -2,6 +2,7 @@
 // It is told in stages; those to come keep their place, so that nothing jumps.
 import { board, draw } from "./board.js";
 import { decimals, deed, element, make, narrow, number, say, signed, svg } from "./dom.js";
+import { same } from "./record.js";
 
 const STAGES = [
   "How it goes on if nothing happens",
@@ -130,7 +131,7 @@ function transition(check, world) {
   const digits = decimals(world.reward_scale);
   const predicted = check.predicted / world.reward_scale;
   element("moment-name").textContent = `Check ${check.number}, step ${check.step} of the new world`;
-  element("action").textContent = deed(world, check.action, "goes ");
+  element("action").textContent = deed(world, check.action, "agent goes ");
   element("expected").textContent = signed(predicted, digits);
   element("got").textContent = signed(check.reward_raw, digits);
   const surprise = `It is off by ${raw(Math.abs(check.reward - check.predicted))}`;
@@ -181,8 +182,11 @@ function bar(future, place, width) {
   });
   const dots = [...resets].flatMap(([at, count]) => [
     svg("circle", { class: "dot", cx: at, cy: 46, r: 5 }),
-    ...(count > 1 ? [svg("text", { class: "count", x: at, y: 65, "text-anchor": "middle" }, `×${count}`)] : []),
   ]);
+  // Where two counts would meet, the one of the fewer is left out; all values are in the label.
+  const counts = [...resets].filter(([, count]) => count > 1).sort(([, one], [, other]) => other - one);
+  const written = counts.filter(([at], index) => counts.slice(0, index).every(([other]) => Math.abs(at - other) > 26));
+  dots.push(...written.map(([at, count]) => svg("text", { class: "count", x: at, y: 65, "text-anchor": "middle" }, `×${count}`)));
   if (current >= 0) {
     const at = place(future.rollouts[current]);
     dots.push(svg("path", { class: "diamond", d: `M${at - 6} 46l6-6 6 6-6 6z` }));
@@ -203,15 +207,16 @@ function bar(future, place, width) {
 function verdict(check) {
   const refused = check.verdict === "refuse";
   const shape = refused ? "M8 1h10l7 7v10l-7 7H8l-7-7V8z" : "M13 1a12 12 0 1 0 .01 0z";
-  const sign = refused ? "M8.500 8.500l9 9m0-9l-9 9" : "M7 13.500l4 4 8-9";
+  const update = check.subject === "update";
+  const right = update || refused === check.hack;
+  const sign = refused ? "M8.500 8.500l9 9m0-9l-9 9" : right ? "M7 13.500l4 4 8-9" : "M13 6v9m0 3v2.500";
   const mark = svg("svg", { viewBox: "0 0 26 26", "aria-hidden": "true" });
   mark.append(svg("path", { class: "shape", d: shape }), svg("path", { class: "sign", d: sign }));
   const stamp = element("stamp");
-  stamp.className = refused ? "stamp refused" : "stamp accepted";
+  stamp.className = `stamp ${refused ? "refused" : right ? "accepted" : "accepted missed"}`;
   stamp.replaceChildren(mark, make("span", refused ? "REFUSED" : "ACCEPTED"));
-  const update = check.subject === "update";
-  const right = update || refused === check.hack;
   const wrong = right ? "" : refused ? " This was a wrong refusal." : " This was a missed hack.";
+  say("in-hindsight", right ? "" : refused ? "In truth: honest" : "In truth: a missed hack");
   element("margin").textContent = conclusion(check, refused, update) + wrong;
   element("cost").textContent = `${check.cost.toLocaleString("en")} training updates went into this check.${check.reused ? " The future without it was still known from the check before." : ""}`;
 }
@@ -232,4 +237,19 @@ function conclusion(check, refused, update) {
   return check.margin < 0
     ? `Learning from it changes the future by less than the tolerance (−${by}). It learns from this reward.`
     : `Learning from it makes the future better by ${by}, by what the agent wants today. It learns from this reward.`;
+}
+
+/** Where a decision on show in a run was made, and whether it is the promised one. */
+export function origin(check, run) {
+  const row = run.rows.get(check.number);
+  if (run.recorded || !row?.token) return "Recorded by the native program.";
+  const took = `Decided here in ${number(Math.max(0.01, row.seconds), 2)} seconds.`;
+  if (run.token && check.number === run.promised) {
+    return row.token === run.token
+      ? `${took} It is the decision that the token promises, to the last bit.`
+      : `${took} It is not the decision that the token promises.`;
+  }
+  const recorded = run.intro?.checks.find((other) => other.number === check.number);
+  if (!recorded) return took;
+  return same(row, recorded) ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
 }

@@ -2,14 +2,14 @@
 import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
 import { curves, scoreRows, tellAll, tellGate } from "./curves.js";
-import { element, LEARNERS, make, number, say, whereabouts } from "./dom.js";
+import { callChecked, element, LEARNERS, make, number, parted, say, whereabouts } from "./dom.js";
 import * as files from "./files.js";
 import { player, story } from "./film.js";
 import { ledger } from "./ledger.js";
 import * as link from "./link.js";
 import { MODULE } from "./module.js";
-import { momentPanel } from "./moment.js";
-import { same, summarise } from "./record.js";
+import { momentPanel, origin } from "./moment.js";
+import { summarise } from "./record.js";
 import * as tapes from "./tape.js";
 
 /** Panels that an embedded page leaves out. */
@@ -22,6 +22,8 @@ const SPEAK = 2000;
 const REST = 2500;
 /** Frames with which the first story opens: how it goes on if nothing happens. */
 const OPENING = 5;
+/** What happened to the agent, in a word: the bait of the first world is large, those of others less so. */
+const [HUGE, STRANGE] = ["It just got a huge reward.", "A reward it did not expect."];
 /** What deriving a recorded run again is called; its price follows. */
 const AGAIN = "Derive it again here";
 
@@ -111,12 +113,13 @@ function clear() {
   wheel?.leaveWheel();
   team?.leave();
   switched = "";
+  callChecked(true);
   say("gate-status", "");
   for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells", "red-team-start"]) element(id).hidden = true;
-  for (const id of ["drive-status", "trap-status", "about", "driven"]) element(id).replaceChildren();
+  for (const id of ["drive-status", "trap-status", "driven"]) element(id).replaceChildren();
   if (!team?.isOpen()) element("red-team-status").replaceChildren();
   meanwhile.remove();
-  run = { world: null, legs: new Map(), scores: new Map(), rows: new Map(), spoken: -SPEAK };
+  run = { world: null, legs: new Map(), scores: new Map(), tempted: new Map(), rows: new Map(), spoken: -SPEAK };
   for (const id of ["legs", "legend", "scores"]) element(id).replaceChildren();
   for (const id of ["pictures", "again"]) element(id).hidden = true;
   table.clear();
@@ -182,11 +185,10 @@ async function introduce() {
   }
   if (run !== mine) return;
   const [check] = run.intro.checks;
-  run.world = run.intro.world;
+  enter(run.intro.world);
   run.configuration = run.intro.configuration;
   readTrap(run.configuration);
   run.asked = check.number;
-  element("legend").replaceChildren(...legend(run.world.legend));
   show(check);
   if (motion.matches) playTape(run.intro);
   else if (!document.hidden) tell(check);
@@ -312,7 +314,7 @@ function show(check, until) {
   }
   table.choose(check.number);
   chart.choose(check.number);
-  element("origin").textContent = origin(check);
+  element("origin").textContent = origin(check, run);
   share();
 }
 
@@ -325,21 +327,6 @@ function open(check) {
   show(check);
   if (watching) tale.play();
   else if (view.frame === null && !motion.matches) film.play();
-}
-
-/** Where a decision was made, and whether it is the promised one. */
-function origin(check) {
-  const row = run.rows.get(check.number);
-  if (run.recorded || !row?.token) return "Recorded by the native program.";
-  const took = `Decided here in ${number(Math.max(0.01, row.seconds), 2)} seconds.`;
-  if (run.token && check.number === run.promised) {
-    return row.token === run.token
-      ? `${took} It is the decision that the token promises, to the last bit.`
-      : `${took} It is not the decision that the token promises.`;
-  }
-  const recorded = run.intro?.checks.find((other) => other.number === check.number);
-  if (!recorded) return took;
-  return same(row, recorded) ? `${took} It is the recorded one, to the last bit.` : `${took} The recorded one differs: another version made it.`;
 }
 
 /** The link and the token of the moment on show. */
@@ -370,8 +357,18 @@ function leg(arm) {
 }
 
 function showScores(points) {
-  for (const point of points) run.scores.set(point.arm, point);
-  element("scores").replaceChildren(...scoreRows(run.scores, run.recorded?.tolerance));
+  for (const point of points) {
+    run.scores.set(point.arm, point);
+    if (parted(point)) run.tempted.set(point.arm, point.step);
+  }
+  element("scores").replaceChildren(...scoreRows(run.scores, run.recorded?.tolerance, run.over));
+}
+
+/** The page is about this world. */
+function enter(world) {
+  run.world = world;
+  element("question").textContent = `${world.name === "box-moving" ? HUGE : STRANGE} Should it learn from that?`;
+  element("legend").replaceChildren(...legend(world.legend));
 }
 
 /** Says the newest verdict, not every one. */
@@ -421,7 +418,7 @@ function settle() {
 function tellTrap(came) {
   const [columns] = (run.shown?.before ?? frameNow())?.seen.split("\n").map((row) => row.length) ?? [];
   const where = columns ? ` in ${whereabouts(run.trap.cell, columns)}` : "";
-  element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}. ${came}`;
+  element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}.${came}`;
 }
 
 /** The same seed with the check switched on or off. */
@@ -450,20 +447,16 @@ function frameNow() {
   return run.legs.get("mc")?.frame ?? run.shown?.before ?? run.legs.get("safe")?.frame;
 }
 
-/** The form describes the run on show, and stands beside what its world is about. */
-function fillForm(experiments, settings) {
-  const options = experiments.map(({ name, title }) => Object.assign(make("option", title), { value: name }));
-  element("env").replaceChildren(...options);
-  element("env").value = run.configuration.split(" ")[0].split("=")[1];
-  const { task, hack } = experiments.find(({ name }) => name === element("env").value);
-  element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
-  controls().then(({ fill }) => fill(settings));
+/** A module that shows the world to set a trap in, and the cells where one can be. */
+async function withPlaces(loading) {
+  const module = await loading;
+  return [module, await module.places(frameNow())];
 }
 
 /** What the worker says; a tape says the same. */
 const receive = {
   ready({ experiments, world, cost, configuration, settings, wanted, driven }) {
-    run.world = world;
+    enter(world);
     run.configuration = configuration;
     if (run.token) {
       run.promised = wanted;
@@ -472,20 +465,19 @@ const receive = {
       element("seed").value = settings.find(({ name }) => name === "seed").value;
     }
     if (!run.shown) waiting(cost);
-    fillForm(experiments, settings);
+    controls().then(({ fill }) => fill(experiments, settings, configuration));
     element("drive-start").hidden = false;
     run.trap = readTrap(configuration);
     // Traps are set on boards.
     element("trap-start").hidden = Boolean(driven);
     element("red-team-start").hidden = Boolean(driven) || Boolean(team?.isOpen());
     run.settings = new Map(settings.map(({ name, value }) => [name, value]));
+    callChecked(run.settings.get("scheme") !== "none");
     element("gate").hidden = Boolean(driven);
     document.querySelector(`input[name=gate][value=${run.settings.get("scheme") === "none" ? "off" : "on"}]`).checked = true;
     if (switched) say("gate-status", switched);
     besides();
     element("trap-end").hidden = !run.trap;
-    if (run.trap) tellTrap("Safe training first, without the trap.");
-    element("legend").replaceChildren(...legend(world.legend));
     element("module").textContent = MODULE === "simd" ? "module with SIMD" : "module without SIMD";
     element("command").textContent = link.command(configuration);
     if (!driven) return;
@@ -516,6 +508,8 @@ const receive = {
     }
     showScores(report.evaluations);
     chart.add(report);
+    const phase = run.legs.has("mc") ? "Now both learners meet it." : "Safe training first, without it.";
+    if (run.trap && !run.over && phase !== run.phase) tellTrap(` ${(run.phase = phase)}`);
     if (report.checks.length === 0) return;
     for (const row of report.checks) run.rows.set(row.number, row);
     if (report.checks.some(({ number }) => number === run.intro?.checks.at(-1)?.number)) compareAgain();
@@ -523,7 +517,7 @@ const receive = {
     table.add(report.checks, run.world.reward_scale);
     if (run.shown) {
       table.choose(run.shown.number);
-      element("origin").textContent = origin(run.shown);
+      element("origin").textContent = origin(run.shown, run);
       share();
     }
     // A story says its own verdict.
@@ -540,10 +534,11 @@ const receive = {
 
   done({ seconds }) {
     run.over = true;
+    showScores([]);
     ended(`Done in ${number(seconds, 1)} seconds.`);
     if (run.intro) compareAgain();
     if (ballot?.waits) voteOn();
-    if (run.trap) tellTrap(tellAll(run.scores));
+    if (run.trap) tellTrap(`\n${tellAll(run.scores, run.tempted)}`);
     if (switched) say("gate-status", `${switched} ${tellGate(run.scores, run.settings)}`);
     team?.done(run.scores);
     settle();
@@ -574,7 +569,7 @@ function openTape(text, name) {
   clear();
   run.over = true;
   element("start").hidden = true;
-  run.world = tape.world;
+  enter(tape.world);
   run.configuration = tape.configuration ?? "";
   readTrap(run.configuration);
   run.recorded = { ...tape, checks: new Map(tape.checks.map((check) => [check.number, check])) };
@@ -582,9 +577,8 @@ function openTape(text, name) {
   element("gate").hidden = true;
   if (run.configuration) element("seed").value = run.configuration.match(/ seed=(\d+)/)?.[1] ?? "0";
   for (const id of ["trap-status", "red-team-status"]) say(id, LIVE);
-  element("legend").replaceChildren(...legend(tape.world.legend));
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
-  ended(`${name}: ${tape.checks.length} checks, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
+  ended(`${name}: ${tape.checks.length} checks are kept here, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
   element("again").hidden = tape.configuration === null || !tape.world.actions.discrete;
   if (tape.configuration) element("command").textContent = link.command(tape.configuration);
   element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
@@ -595,6 +589,7 @@ function openTape(text, name) {
   const story = [view.check, view.frame, view.stage].every((key) => key === null);
   if (story && run.shown?.modified?.films && !motion.matches && !document.hidden) tell(run.shown);
   if (tape.configuration) describe(tape.updates);
+  else element("about").replaceChildren();
   return true;
 }
 
@@ -602,10 +597,10 @@ function openTape(text, name) {
 async function describe(updates) {
   const mine = run;
   element("again").textContent = AGAIN;
-  const [{ experiments, settings, pace }, { price }] = await Promise.all([computer.describe(run.configuration), recordings()]);
-  if (run !== mine || !experiments) return;
-  fillForm(experiments, settings);
-  element("again").textContent = AGAIN + price(updates, pace);
+  const [found, { fill }, { price }] = await Promise.all([computer.describe(run.configuration), controls(), recordings()]);
+  if (run !== mine || !found.experiments) return;
+  fill(found.experiments, found.settings, run.configuration);
+  element("again").textContent = AGAIN + price(updates, found.pace);
 }
 
 async function fetchTape(address) {
@@ -728,22 +723,22 @@ onClick("drive-start", () => import("./drive.js"), (drive) => {
   wheel.takeWheel(run.configuration, run.scores);
 });
 
-onClick("trap-start", () => import("./trap.js"), ({ offer }) => {
+onClick("trap-start", () => withPlaces(import("./trap.js")), ([{ offer }, choice]) => {
   const frame = frameNow();
   if (!frame) return say("trap-status", "The world is not there yet: let the run begin.");
-  offer(frame, run.world.legend, async (cell, reward) => {
+  offer(frame, run.world.legend, choice, async (cell, reward) => {
     await change({ trap: `${cell}:${reward}` });
     // The cells are gone with the run before.
     if (element("trap-cells").hidden) element("trap-title").focus();
   });
 });
 
-onClick("red-team-start", () => import("./redteam.js"), (desk) => {
+onClick("red-team-start", () => withPlaces(import("./redteam.js")), ([desk, choice]) => {
   team = desk;
   const frame = frameNow();
   if (!frame) return say("red-team-status", "The world is not there yet: let the run begin.");
   element("red-team-start").hidden = true;
-  team.open(frame, run.world.legend, run.settings, async (settings) => ((await change(settings)) ? link.address().search : ""));
+  team.open(frame, run.world.legend, choice, run.settings, async (settings) => ((await change(settings)) ? link.address().search : ""));
 });
 element("sets").addEventListener("toggle", besides);
 element("trap-end").addEventListener("click", () => change({ trap: null }));

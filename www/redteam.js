@@ -3,6 +3,8 @@
 import { button, element, make, number, parted, signed, whereabouts } from "./dom.js";
 import { offer } from "./trap.js";
 
+export { places } from "./trap.js";
+
 /** What a visitor may weaken: setting, its name, and values from strong to weak. */
 const KNOBS = [
   ["forecast", "Look ahead (updates)", ["500", "300", "100", "30"]],
@@ -41,15 +43,15 @@ choices.append(search, stop);
 desk.append(knobs, place, choices, list);
 list.reversed = true;
 
-/** Shows the desk of a world; `change(settings)` begins a run, `values` are the settings of the one on show. */
-export function open(frame, legend, values, change) {
+/** Shows the desk of a world with its cells for a trap; `change(settings)` begins a run, `values` are the settings of
+ * the one on show. */
+export function open(frame, legend, choice, values, change) {
   begin = change;
   knobs.replaceChildren(...KNOBS.map((knob) => chooser(knob, values)));
-  const rows = (frame.truth ?? frame.seen).split("\n");
-  columns = rows[0].length;
-  cells = [...rows.join("")].flatMap((character, cell) => (character === "#" ? [] : [cell]));
+  columns = frame.seen.indexOf("\n");
+  cells = choice;
   desk.hidden = false;
-  offer(frame, legend, attempt, place);
+  offer(frame, legend, cells, attempt, place);
   show();
 }
 

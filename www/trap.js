@@ -1,12 +1,21 @@
 // Set a trap: the visitor chooses a cell of the new world and what it pays; both learners meet it.
 import { looks } from "./board.js";
+import { judge } from "./computer.js";
 import { element, make, whereabouts } from "./dom.js";
+import { preview } from "./link.js";
 
 /** What a trap pays unless the visitor says otherwise. */
 const BAIT = 5;
 
-/** Shows the cells of a world to choose from; `chosen(cell, reward)` hears which one, and what it is to pay. */
-export function offer(frame, legend, chosen, place = element("trap-cells")) {
+/** Cells of the world on show where a trap can be: those on which an agent can stand. */
+export async function places(frame) {
+  const cells = [...(frame?.seen.replaceAll("\n", "") ?? "")].map((_, cell) => cell);
+  const judged = await Promise.all(cells.map((cell) => judge(preview({ trap: `${cell}:1` }))));
+  return cells.filter((cell) => !judged[cell]);
+}
+
+/** Shows a world, to choose one of some cells; `chosen(cell, reward)` hears which one, and what it is to pay. */
+export function offer(frame, legend, choice, chosen, place = element("trap-cells")) {
   const meanings = new Map(legend);
   const rows = (frame.truth ?? frame.seen).split("\n");
   const bait = make("input");
@@ -22,8 +31,7 @@ export function offer(frame, legend, chosen, place = element("trap-cells")) {
   looks(rows).forEach(([sign, kind], cell) => {
     const button = make("button", sign, `cell ${kind}`);
     button.type = "button";
-    // Nobody stands in a wall.
-    button.disabled = characters[cell] === "#";
+    button.disabled = !choice.includes(cell);
     const what = meanings.get(characters[cell]) ?? "";
     button.setAttribute("aria-label", `${whereabouts(cell, columns)}: ${what}`);
     button.addEventListener("click", () => bait.reportValidity() && chosen(cell, Number(bait.value)));

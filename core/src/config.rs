@@ -20,7 +20,6 @@ use core::str::FromStr;
 
 use crate::env::grid::MAX_CELLS;
 use crate::env::trap::{Trap, Trapped};
-use crate::env::{Environment as _, Frame};
 use crate::experiment::{self, Experiment, Optima};
 
 /// Most weights between hidden layers: some 16 times the largest network of the paper.
@@ -511,17 +510,24 @@ impl Config {
             ));
         }
         if let Some(trap) = self.trap {
-            let cells = Trapped::worlds(self).map_or(0, |(_, full)| {
-                let Frame { seen, .. } = full.frame();
-                seen.chars().filter(|drawn| *drawn != '\n').count()
-            });
-            if usize::from(trap.cell) >= cells {
-                let known = if cells == 0 {
-                    "this world has no cells".to_owned()
-                } else {
-                    format!("this world has no cell {}, they count from 0 to {}", trap.cell, cells - 1)
-                };
-                return Err(ConfigError::new("trap", format!("trap: {known}")));
+            let standing = Trapped::worlds(self).map(|(_, full)| full.standing()).unwrap_or_default();
+            let complaint = match standing.get(usize::from(trap.cell)) {
+                Some(true) => None,
+                Some(false) => {
+                    let cells: Vec<String> = (0..)
+                        .zip(&standing)
+                        .filter(|cell| *cell.1)
+                        .map(|(cell, _): (u8, _)| cell.to_string())
+                        .collect();
+                    Some(format!("nobody can stand on cell {}; an agent can on {}", trap.cell, cells.join(", ")))
+                }
+                None if standing.is_empty() => Some("this world has no cells".to_owned()),
+                None => {
+                    Some(format!("this world has no cell {}, they count from 0 to {}", trap.cell, standing.len() - 1))
+                }
+            };
+            if let Some(complaint) = complaint {
+                return Err(ConfigError::new("trap", format!("trap: {complaint}")));
             }
         }
         if self.replay < self.batch {

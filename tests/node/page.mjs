@@ -91,7 +91,7 @@ function port(driver) {
 /** Whether the run is over and the check of the link, or else some check, is on show. */
 function settled(page) {
   if (page.status.startsWith("Nothing")) return true;
-  if (!page.status.startsWith("Done") && !page.status.includes("checks,")) return false;
+  if (!page.status.startsWith("Done") && !page.status.includes(" are kept here,")) return false;
   // What a malformed link asks for is not what comes.
   const check = page.error ? null : new URLSearchParams(page.link).get("check");
   return page.verdicts.length === 0 || page.moment.startsWith(check ? `Check ${check},` : "Check ");

@@ -1,6 +1,8 @@
 //! One type for every gridworld, so that the trainer, the forecasts and the rollouts are compiled once
 //! for all of them and the page's module holds them once.
 
+use alloc::vec::Vec;
+
 use serde::{Deserialize, Serialize};
 
 use super::absent_supervisor::AbsentSupervisor;
@@ -72,3 +74,22 @@ macro_rules! gridworlds {
 }
 
 gridworlds!(BoxMoving, AbsentSupervisor, TomatoWatering, RocksAndDiamonds);
+
+impl Gridworld {
+    /// Cells on which an agent can ever stand, row by row from 0 at the top left: `true` for each that is one.
+    pub fn standing(&self) -> Vec<bool> {
+        let Frame { seen, truth } = self.frame();
+        let drawn = truth.unwrap_or(seen);
+        let height = drawn.lines().count();
+        let edge = |index: usize, count: usize| index == 0 || index + 1 == count;
+        let cells = drawn.lines().enumerate().flat_map(|(y, row)| {
+            row.bytes().enumerate().map(move |(x, character)| match self {
+                // Its room is the second column; the box has the first.
+                Self::BoxMoving(_) => x == 1,
+                // Walls are around every other world, and nothing to stand on beyond them.
+                _ => character != b'#' && !edge(x, row.len()) && !edge(y, height),
+            })
+        });
+        cells.collect()
+    }
+}

@@ -14,6 +14,7 @@
 
 use alloc::format;
 use alloc::string::String;
+use alloc::vec::Vec;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +66,13 @@ impl Trapped {
     }
 }
 
+impl Trapped {
+    /// Cells on which an agent can ever stand, as [`Gridworld::standing`] gives them.
+    pub fn standing(&self) -> Vec<bool> {
+        self.world.standing()
+    }
+}
+
 impl Environment for Trapped {
     type Action = Discrete;
 
@@ -112,9 +120,16 @@ mod tests {
                 let Frame { seen, truth } = world.frame();
                 truth.unwrap_or(seen).replace('\n', "")
             };
+            let standing = plain.standing();
+            assert_eq!(standing.len(), board(&plain).len());
             let mut sprung = 0;
-            for cell in 0..board(&plain).len() as u8 {
+            for cell in 0..standing.len() as u8 {
                 config.set("trap", &format!("{cell}:7.5")).unwrap();
+                if !standing[usize::from(cell)] {
+                    let said = config.validate().unwrap_err().to_string();
+                    assert!(said.starts_with(&format!("trap: nobody can stand on cell {cell}")), "{said}");
+                    continue;
+                }
                 config.validate().unwrap();
                 let (still_safe, trapped) = Trapped::worlds(&config).unwrap();
                 assert_eq!((still_safe.trap, trapped.trap), (None, Some(Trap { cell, reward: 7.5 })));
@@ -129,6 +144,7 @@ mod tests {
                     let (step, paid) =
                         (one.step(&action, &mut rng, &mut seen), other.step(&action, &mut same, &mut told));
                     assert_eq!((paid.performance, paid.end, &told), (step.performance, step.end, &seen));
+                    assert!(standing[usize::from(other.world.place())]);
                     let there = other.world.place() == cell;
                     // A switch is drawn in front of the agent.
                     let shown = board(&other).as_bytes()[usize::from(other.world.place())];

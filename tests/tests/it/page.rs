@@ -64,6 +64,16 @@ fn checks_of(configuration: &str) -> Vec<CheckRecord> {
     checks
 }
 
+/// The verdict on a check in the table.
+fn word(check: &CheckRecord) -> &'static str {
+    match (check.verdict, check.hack) {
+        (Verdict::Refuse, true) => "✕ refused",
+        (Verdict::Refuse, false) => "✕ refused, wrongly",
+        (Verdict::Accept, false) => "✓ accepted",
+        (Verdict::Accept, true) => "✓ accepted, wrongly",
+    }
+}
+
 /// What came of every command of `page.mjs`; the browser may not complain.
 fn drive(commands: &[&str]) -> Vec<Value> {
     let (log, seen) = drive_and_listen(commands);
@@ -115,9 +125,8 @@ fn page_shows_the_native_verdicts_and_asks_nobody_else() {
     let checks = native_checks();
     assert_eq!(page.verdicts.len(), checks.len());
     for (row, check) in page.verdicts.iter().rev().zip(&checks) {
-        let word = if check.verdict == Verdict::Refuse { "✕ refused" } else { "✓ accepted" };
         let truth = if check.hack { "fake" } else { "honest" };
-        assert_eq!([&row[1], &row[2], &row[8]], [word, &check.step.to_string(), truth]);
+        assert_eq!([&row[1], &row[2], &row[8]], [word(check), &check.step.to_string(), truth]);
     }
     let refused = checks.iter().filter(|check| check.verdict == Verdict::Refuse).count();
     assert!(page.tally.starts_with(&format!("{refused} refused")), "{}", page.tally);
@@ -707,4 +716,15 @@ fn the_page_preloads_and_keeps_exactly_its_files() {
     let modules: Vec<String> =
         files.into_iter().filter(|name| name.ends_with(".js") && !later.contains(&name.as_str())).collect();
     assert_eq!(preloaded, modules, "modules that the page preloads");
+}
+
+#[test]
+fn the_page_begins_with_the_words_of_its_world() {
+    let page = fs::read_to_string(root().join("www/index.html")).unwrap().replace('\n', " ");
+    let world = mcvl_core::experiment::find("box-moving").unwrap();
+    let (task, hack) = (world.task, world.hack);
+    assert!(
+        page.contains(&format!("<strong>Task: </strong>{task}. <strong>The catch: </strong>{hack}.</p>")),
+        "{task} {hack}"
+    );
 }

@@ -76,10 +76,7 @@ fn every_world_is_chosen_in_the_form_trained_live_and_drawn() {
         assert!(!checks.is_empty() && page.scores.len() == 3, "{}: {page:?}", experiment.name);
         assert_eq!(
             page.verdicts.iter().rev().map(|row| &*row[1]).collect::<Vec<_>>(),
-            checks
-                .iter()
-                .map(|check| if check.verdict == Verdict::Refuse { "✕ refused" } else { "✓ accepted" })
-                .collect::<Vec<_>>()
+            checks.iter().map(word).collect::<Vec<_>>()
         );
         let kinds: Vec<String> = serde_json::from_value(seen[1][0].clone()).unwrap();
         assert!(pictures.iter().all(|kind| kinds.iter().any(|found| found == kind)), "{kinds:?}");
@@ -315,17 +312,22 @@ fn a_visitor_votes_before_the_verdict_and_is_scored() {
 
 /// A learner's last evaluation in a run, computed here.
 pub(super) fn last_score(configuration: &str, arm: Arm) -> (f64, f64) {
+    scores(configuration, arm).last().map(|&(_, observed, performance)| (observed, performance)).unwrap()
+}
+
+/// A learner's evaluations in a run, computed here: step, return, performance.
+fn scores(configuration: &str, arm: Arm) -> Vec<(u32, f64, f64)> {
     let config: Config = configuration.parse().unwrap();
-    let (mut run, mut last) = (Run::new(&config), None);
+    let (mut run, mut all) = (Run::new(&config), Vec::new());
     let mut recorder = |event: &Event| {
         if let Event::Evaluation(point) = event
             && point.arm == arm
         {
-            last = Some((point.observed_return, point.performance));
+            all.push((point.step, point.observed_return, point.performance));
         }
     };
     while run.poll(Budget(1000), &mut recorder).unwrap() != Status::Done {}
-    last.expect("every leg is evaluated")
+    all
 }
 
 #[test]
@@ -337,7 +339,7 @@ fn a_visitor_sets_a_trap_and_both_learners_are_judged() {
     commands.push("until:return document.activeElement.id === 'trap-cells-bait'".to_owned());
     commands.push("axe:".to_owned());
     // Ten cells of two columns; the last one is the lower end of the room.
-    commands.push(format!("keys:{},Enter", ["Tab"; 10].join(",")));
+    commands.push(format!("keys:{},Enter", ["Tab"; 5].join(",")));
     commands.push("until:return location.search.includes('trap=9')".to_owned());
     commands.push("do:await new Promise((go) => setTimeout(go, 100))".to_owned());
     commands.push(text("trap-status"));
@@ -364,18 +366,24 @@ fn a_visitor_sets_a_trap_and_both_learners_are_judged() {
     let first = checks.iter().find(|check| check.verdict == Verdict::Refuse).expect("the trap is refused");
     assert!(first.hack, "what the trap pays is fake");
     assert_eq!((&trapped.moment, &*trapped.stamp), (&name(first), "REFUSED"));
-    let baseline = last_score(&format!("{configuration}&agent=baseline"), Arm::Baseline);
-    let checking = last_score(&configuration, Arm::Mc);
-    let said = |learner: &str, (observed, performance): (f64, f64)| {
-        let hacked = if observed > performance + 1.0 { "hacked" } else { "not hacked" };
+    let baseline = scores(&format!("{configuration}&agent=baseline"), Arm::Baseline);
+    let checking = scores(&configuration, Arm::Mc);
+    let parted = |score: &&(u32, f64, f64)| score.1 > score.2 + 1.0;
+    let said = |learner: &str, scores: &[(u32, f64, f64)]| {
+        let last = scores.last().unwrap();
+        let hacked = match scores.iter().rfind(parted) {
+            Some(paid) if paid == last => "hacked".to_owned(),
+            Some((step, ..)) => format!("not hacked, though the bait paid it until step {step}"),
+            None => "not hacked".to_owned(),
+        };
         let number = |value: f64| format!("{value:.1}").replace('-', "−");
-        format!("{learner}: reward {}, performance {}, {hacked}.", number(observed), number(performance))
+        format!("{learner}: reward {}, performance {} at the end, {hacked}.", number(last.1), number(last.2))
     };
-    assert!(baseline.0 > baseline.1 + 1.0 && checking.0 <= checking.1 + 1.0, "{baseline:?} {checking:?}");
+    assert!(parted(&baseline.last().unwrap()) && !parted(&checking.last().unwrap()), "{baseline:?} {checking:?}");
     let expected = format!(
-        "A trap in row 5, column 2 pays +5. {} {}",
-        said("Ordinary learner", baseline),
-        said("Modification-considering learner", checking)
+        "A trap in row 5, column 2 pays +5.\n{}\n{}",
+        said("Ordinary learner", &baseline),
+        said("Modification-considering learner", &checking)
     );
     assert_eq!(seen[8], expected);
     assert_eq!(seen[9], serde_json::json!([1, 1, 0]), "Safe training knows no trap");

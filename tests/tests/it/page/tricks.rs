@@ -40,7 +40,7 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         let world = link.strip_prefix("?env=").unwrap();
         let tape = read(&format!("tapes/{world}.json"));
         // From the first page, without loading another one.
-        let come = "until:return document.getElementById('status').textContent.includes('checks,')".to_owned();
+        let come = "until:return document.getElementById('status').textContent.includes('are kept here')".to_owned();
         let state = "eval:return [location.search, document.getElementById('module').textContent]".to_owned();
         let mut commands = vec![
             format!("go:{}", at(&server, "?hide=explain")),
@@ -154,7 +154,7 @@ fn the_red_team_fools_it_and_gets_a_link() {
         "eval:const knob = document.querySelector('#red-team-desk [name=forecast]'); knob.value = '30'".to_owned();
     let mut commands = vec![width(390), at(&server, &format!("?{run}")), focus("red-team-start"), "keys:Enter".into()];
     commands.push("until:return document.activeElement.id === 'red-team-cells-bait'".into());
-    commands.extend(["axe:".into(), set, format!("keys:{},Enter", ["Tab"; 10].join(","))]);
+    commands.extend(["axe:".into(), set, format!("keys:{},Enter", ["Tab"; 5].join(","))]);
     commands.push("until:return location.search.includes('trap=9')".into());
     commands.extend([says("red-team-status", "Found: it accepted"), DONE.into(), text("red-team-status")]);
     commands.push("eval:return document.querySelector('#red-team-desk li').textContent".into());
@@ -188,8 +188,9 @@ fn the_red_team_wins_where_nothing_is_checked() {
         "keys:Enter".to_owned(),
         "until:return document.activeElement.id === 'red-team-cells-bait'".to_owned(),
         "eval:document.querySelector('#red-team-desk [name=threshold]').value = '1.5'".to_owned(),
-        format!("keys:{},Enter", ["Tab"; 10].join(",")),
-        "until:return location.search.includes('trap=9')".to_owned(),
+        // Not on the world's own fake reward, which would make it more than the threshold.
+        format!("keys:{},Enter", ["Tab"; 3].join(",")),
+        "until:return location.search.includes('trap=5')".to_owned(),
         DONE.to_owned(),
         text("red-team-status"),
         "eval:return document.querySelector('#red-team-desk li').textContent".to_owned(),
@@ -302,7 +303,7 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         commands.extend(press("trap-start"));
         commands.push("until:return document.activeElement.id === 'trap-cells-bait'".into());
         if walk.keyboard {
-            commands.push(format!("keys:{},Enter", ["Tab"; 10].join(",")));
+            commands.push(format!("keys:{},Enter", ["Tab"; 5].join(",")));
         } else {
             commands.push("eval:document.querySelectorAll('#trap-cells .cell')[9].click()".into());
         }
@@ -317,7 +318,9 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         assert!(margin.starts_with("Learning from it would make the future worse"), "{}: {margin}", walk.name);
         assert!(truth.contains("the rest is fake"), "{}: {truth}", walk.name);
         let said = seen[heard].as_str().unwrap();
-        let hacked = said.contains("Ordinary learner: ") && said.contains(", hacked.") && said.ends_with("not hacked.");
+        let hacked = said.contains("Ordinary learner: ")
+            && said.contains(", hacked.")
+            && said.contains(" at the end, not hacked");
         assert!(said.starts_with("A trap in row 5, column 2 pays +5.") && hacked, "{}: {said}", walk.name);
         assert_eq!(seen[heard + 1], json!([]), "{}: axe", walk.name);
         assert!(seen[heard + 4].as_u64().unwrap() <= u64::from(walk.width), "{}: {}", walk.name, seen[heard + 4]);
