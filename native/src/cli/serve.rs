@@ -14,6 +14,7 @@ use axum::routing::get;
 use clap::Args;
 use mcvl::runs::{Place, Plan, RunDir, RunsError, run_tape};
 use tokio::net::TcpListener;
+use tower_http::compression::CompressionLayer;
 use tower_http::services::ServeDir;
 use tower_http::set_header::SetResponseHeaderLayer;
 
@@ -110,7 +111,8 @@ fn router(page: &Path, run: Option<RunDir>) -> Router {
     for (name, value) in headers {
         router = router.layer(SetResponseHeaderLayer::overriding(name, HeaderValue::from_static(value)));
     }
-    router
+    // A tape is a thirtieth, the module that trains less than half.
+    router.layer(CompressionLayer::new())
 }
 
 /// The tape `seed-N.json` of the run, made anew for each request: a run that goes on is shown as far as

@@ -48,6 +48,25 @@ fn files_have_the_types_that_browsers_insist_on() {
 }
 
 #[test]
+fn files_go_compressed_to_who_can_read_that() {
+    let server = Server::start(None);
+    let address = server.origin().strip_prefix("http://").unwrap();
+    let size = |accepted: &str| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        write!(stream, "GET /tapes/reacher.json HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n{accepted}\r\n")
+            .unwrap();
+        let head = head(&mut stream);
+        let mut body = Vec::new();
+        stream.read_to_end(&mut body).unwrap();
+        (head.contains("\r\ncontent-encoding: gzip\r\n"), body.len())
+    };
+    let (plain, packed) = (size(""), size("Accept-Encoding: gzip\r\n"));
+    assert_eq!((plain.0, packed.0), (false, true));
+    assert!(10 * packed.1 < plain.1, "{packed:?} {plain:?}");
+}
+
+#[test]
 fn nothing_outside_the_page_is_served_and_nothing_is_taken() {
     let server = Server::start(None);
     for path in ["/../Cargo.toml", "/..%2fCargo.toml", "/%2e%2e/Cargo.toml", "//etc/passwd", "/pkg/../../Cargo.toml"] {
