@@ -580,6 +580,7 @@ function openTape(text, name) {
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
   ended(`${name}: ${tape.checks.length} checks are kept here, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
   element("again").hidden = tape.configuration === null || !tape.world.actions.discrete;
+  if (tape.configuration && !tape.world.actions.discrete) say("driven", `Recorded natively: an arm is not trained here. \`${link.command(tape.configuration)}\` trains the run again, \`mcvl verify RUN\` derives its decisions.`);
   if (tape.configuration) element("command").textContent = link.command(tape.configuration);
   element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");

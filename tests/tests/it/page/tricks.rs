@@ -269,7 +269,10 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("walks");
     fs::create_dir_all(&folder).unwrap();
     for walk in walks {
-        let still = "until:return document.getAnimations().length === 0".to_owned();
+        // What fades in begins to when the verdict was told.
+        let still = "until:const [told] = performance.getEntriesByName('verdict'); \
+                     return (!told || performance.now() > told.startTime + 1000) && document.getAnimations().length === 0"
+            .to_owned();
         let shot = |of: &str| format!("shot:{}", folder.join(format!("{}, {of}.png", walk.name)).display());
         let press = |id: &str| {
             if walk.keyboard {
