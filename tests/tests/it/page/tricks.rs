@@ -298,6 +298,7 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         }
         let read = "eval:return ['stamp', 'margin', 'truth'].map((id) => document.getElementById(id).textContent)";
         commands.extend([
+            still.clone(),
             shot("refusal"),
             read.to_owned(),
             "until:return !document.getElementById('trap-start').hidden".into(),
