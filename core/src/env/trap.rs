@@ -64,9 +64,7 @@ impl Trapped {
         let (safe, full) = Gridworld::worlds(config)?;
         Some((Self { world: safe, trap: None }, Self { world: full, trap: config.trap }))
     }
-}
 
-impl Trapped {
     /// Cells on which an agent can ever stand, as [`Gridworld::standing`] gives them.
     pub fn standing(&self) -> Vec<bool> {
         self.world.standing()
