@@ -10,8 +10,10 @@
 //! weight is not finite, the learner has diverged either way; which columns leave terms out is the same on
 //! every vector unit.)
 
-/// Lanes of [`super::isa::probe`]: enough independent chains to hide every latency.
-pub const PROBE_LANES: usize = 192;
+/// Chains that [`super::isa::probe`] runs side by side: enough to hide every latency, few enough for 16 registers.
+const PROBE_CHAINS: usize = 14;
+/// Lanes of [`super::isa::probe`]: those chains in the widest vectors.
+pub const PROBE_LANES: usize = 16 * PROBE_CHAINS;
 
 use super::isa::{Baseline, Lanes, One};
 
@@ -110,134 +112,194 @@ fn start<L: Lanes, const VECTORS: usize>(bias: Option<&[f32]>, j: usize) -> [L::
     }
 }
 
-/// Rows of the right matrix that are used before the next ones are: as many as a mask has bits. With the
-/// widest stripe they are 32 KiB and stay in the first cache.
-const BLOCK: usize = u64::BITS as usize;
-/// Masks made at once, so that making them and using them overlap, and that all stripes share them.
-const MASKS: usize = 64;
+/// Bits of a mask.
+const WORD: usize = u64::BITS as usize;
+/// Terms of a mask, one number each.
+type Word = [f32; WORD];
+/// Words of a row that are used before the next ones, where a tile is one row: its stripe is so wide that more rows of
+/// the right matrix than these would not stay in the first cache. Tiles of several rows have narrow stripes.
+const fn words(rows: usize) -> usize {
+    if rows == 1 { 1 } else { WORDS }
+}
+/// The most words that are used before the next ones.
+const WORDS: usize = 2;
 
 /// Columns for which the products are compiled once more: units of a layer of the paper's learners in gridworlds.
 const UNITS: usize = 128;
 
-/// Bit `l` is set where number `l` is not zero.
+/// Bit `l` is set where number `l` of one of the rows is not zero.
 #[inline(always)]
-fn mask<L: Lanes>(numbers: &[f32]) -> u64 {
-    let (whole, rest) = numbers.as_chunks::<16>();
+fn mask<L: Lanes, const ROWS: usize>(rows: [&Word; ROWS]) -> u64 {
     let mut mask = 0;
-    for (i, lanes) in whole.iter().enumerate() {
-        mask |= u64::from(L::nonzero(lanes)) << (16 * i);
-    }
-    for (l, x) in rest.iter().enumerate() {
-        mask |= u64::from(*x != 0.0) << (16 * whole.len() + l);
+    for i in 0..WORD / 16 {
+        let any: [f32; 16] = core::array::from_fn(|l| {
+            let bits = rows.iter().fold(0, |bits, row| bits | row[16 * i + l].to_bits());
+            // Without the sign: both zeros are zero.
+            f32::from_bits(bits & !(1 << 31))
+        });
+        mask |= u64::from(L::nonzero(&any)) << (16 * i);
     }
     mask
 }
 
-/// A block of terms of some rows of sums.
+/// A block of terms of the sums of some rows.
 struct Terms<'a> {
-    /// Of every row, which terms are not zero.
-    masks: &'a [u64],
     /// The rows of the right matrix that belong to the terms.
     right: Matrix<'a>,
     /// The first terms of all, in the first block: a bias or zeros.
     begin: Option<Option<&'a [f32]>>,
     /// What is done to the sums after the last block.
     finish: Option<Finish<'a>>,
-    /// The first of the rows in the output.
-    row: usize,
 }
 
-/// Adds the terms to the sums of the columns `j..` of `out`: `factor(row, k)` times `right(k)`, which begins with
-/// those columns. One row at a time, since each has its own zeros: a stripe is so wide that its sums alone keep
-/// the machine busy.
+/// The left factors of some rows: word by word, with the terms of each that are not zero in all of them.
+struct Left<'a, const ROWS: usize> {
+    rows: [&'a [Word]; ROWS],
+    masks: &'a [u64],
+    /// The rows in the output.
+    at: [usize; ROWS],
+}
+
+/// Adds the terms to the sums of the columns `j..` of some rows of `out`; `right(k)` begins with those columns.
 // A function of its own in wasm: compilers of browsers allot registers better in small functions, and sooner.
 #[cfg_attr(target_arch = "wasm32", inline(never))]
 #[cfg_attr(not(target_arch = "wasm32"), inline(always))]
-fn sparse_stripe<'a, L: Lanes, const VECTORS: usize>(
+fn sparse_tile<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
     terms: &Terms<'_>,
-    factor: impl Fn(usize, usize) -> f32,
+    left: &Left<'_, ROWS>,
     right: impl Fn(usize) -> &'a [f32],
     out: &mut [f32],
     j: usize,
 ) {
-    for (r, mask) in terms.masks.iter().enumerate() {
-        let at = (terms.row + r) * terms.right.cols + j;
-        let line = &mut out[at..at + VECTORS * lanes::<L>()];
-        let mut sums = match terms.begin {
-            Some(bias) => start::<L, VECTORS>(bias, j),
-            None => load::<L, VECTORS>(line),
-        };
-        let mut mask = *mask;
-        while mask != 0 {
-            let k = mask.trailing_zeros() as usize;
-            mask &= mask - 1;
-            let factor = L::splat(factor(r, k));
-            let right = &right(k)[..VECTORS * lanes::<L>()];
-            for (v, sum) in sums.iter_mut().enumerate() {
-                *sum = L::add_product(*sum, factor, L::load(&right[v * lanes::<L>()..]));
+    let places = left.at.map(|row| row * terms.right.cols + j);
+    let mut sums = [[L::splat(0.0); VECTORS]; ROWS];
+    match terms.begin {
+        Some(bias) => sums = [start::<L, VECTORS>(bias, j); ROWS],
+        None => {
+            for (sums, &at) in sums.iter_mut().zip(&places) {
+                *sums = load::<L, VECTORS>(&out[at..at + VECTORS * lanes::<L>()]);
             }
         }
-        store::<L, VECTORS>(&sums, line);
+    }
+    for (word, &mask) in left.masks.iter().enumerate() {
+        let rows: [&Word; ROWS] = core::array::from_fn(|r| &left.rows[r][word]);
+        let mut mask = mask;
+        while mask != 0 {
+            // At most 63, which the compiler is told.
+            let k = mask.trailing_zeros() as usize % WORD;
+            mask &= mask - 1;
+            let line = load::<L, VECTORS>(&right(WORD * word + k)[..VECTORS * lanes::<L>()]);
+            for (row, sums) in rows.iter().zip(&mut sums) {
+                let factor = L::splat(row[k]);
+                for (sum, right) in sums.iter_mut().zip(line) {
+                    *sum = L::add_product(*sum, factor, right);
+                }
+            }
+        }
+    }
+    for (sums, &at) in sums.iter().zip(&places) {
+        let line = &mut out[at..at + VECTORS * lanes::<L>()];
+        store::<L, VECTORS>(sums, line);
         if let Some(finish) = terms.finish {
             finish.apply::<L>(line, at);
         }
     }
 }
 
-/// The same for as many columns as stripes of `SPARSE` vectors and of `LAST` for 32 columns take.
+/// The same for as many columns as stripes of `VECTORS` vectors and of `LAST` for 32 columns take.
 #[inline(always)]
-fn sparse_stripes<L: Lanes, const SPARSE: usize, const LAST: usize>(
+fn sparse_stripes<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     terms: &Terms<'_>,
-    factor: impl Fn(usize, usize) -> f32 + Copy,
+    left: &Left<'_, ROWS>,
     out: &mut [f32],
 ) {
     let Matrix { data, cols, .. } = terms.right;
+    let width = VECTORS * lanes::<L>();
     let mut j = 0;
     if cols == UNITS {
-        const { assert!(UNITS.is_multiple_of(SPARSE * lanes::<L>()), "stripes fill the row") };
+        const { assert!(UNITS.is_multiple_of(VECTORS * lanes::<L>()), "stripes fill the row") };
         // Where the compiler knows the distance of the rows, it need not ask for every one whether it is there.
         let (rows, _) = data.as_chunks::<UNITS>();
-        while j + SPARSE * lanes::<L>() <= UNITS {
-            sparse_stripe::<L, SPARSE>(terms, factor, move |k| &rows[k][j..], out, j);
-            j += SPARSE * lanes::<L>();
+        while j + width <= UNITS {
+            sparse_tile::<L, ROWS, VECTORS>(terms, left, move |k| &rows[k][j..], out, j);
+            j += width;
         }
         return;
     }
-    while j + SPARSE * lanes::<L>() <= cols {
-        sparse_stripe::<L, SPARSE>(terms, factor, move |k| &data[k * cols + j..], out, j);
-        j += SPARSE * lanes::<L>();
+    while j + width <= cols - cols % 32 {
+        sparse_tile::<L, ROWS, VECTORS>(terms, left, move |k| &data[k * cols + j..], out, j);
+        j += width;
     }
-    while j + 32 <= cols {
-        sparse_stripe::<L, LAST>(terms, factor, move |k| &data[k * cols + j..], out, j);
-        j += 32;
+    if width > 32 {
+        while j + 32 <= cols {
+            sparse_tile::<L, ROWS, LAST>(terms, left, move |k| &data[k * cols + j..], out, j);
+            j += 32;
+        }
     }
 }
 
-/// Sums without the terms that are zero, in all columns but the last, fewer than 32; returns how many columns
-/// have theirs.
+/// The sums of some rows of the output, those at `at`, whose factors are `rows`: in tiles, and one by one where few
+/// are left.
 #[inline(always)]
-fn sparse<L: Lanes, const SPARSE: usize, const LAST: usize>(
+fn sparse_rows<'a, L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
+    terms: &Terms<'_>,
+    count: usize,
+    row: impl Fn(usize) -> &'a [Word],
+    at: impl Fn(usize) -> usize,
+    out: &mut [f32],
+) {
+    let mut masks = [0; WORDS];
+    let mut i = 0;
+    while i < count {
+        if ROWS > 1 && count - i <= ROWS / 3 {
+            let rows = [row(i)];
+            let masks = &mut masks[..rows[0].len()];
+            masks.iter_mut().zip(rows[0]).for_each(|(mask, word)| *mask = self::mask::<L, 1>([word]));
+            let left = Left { rows, masks, at: [at(i)] };
+            sparse_stripes::<L, 1, LAST, LAST>(terms, &left, out);
+            i += 1;
+            continue;
+        }
+        // Where rows are missing, the last one is computed again.
+        let place = |r: usize| (i + r).min(count - 1);
+        let rows: [&[Word]; ROWS] = core::array::from_fn(|r| row(place(r)));
+        let masks = &mut masks[..rows[0].len()];
+        for (word, mask) in masks.iter_mut().enumerate() {
+            *mask = self::mask::<L, ROWS>(core::array::from_fn(|r| &rows[r][word]));
+        }
+        let left = Left { rows, masks, at: core::array::from_fn(|r| at(place(r))) };
+        sparse_stripes::<L, ROWS, VECTORS, LAST>(terms, &left, out);
+        i += ROWS;
+    }
+}
+
+/// Sums without the terms that are zero in all rows of a tile, in all columns but the last, fewer than 32; returns how
+/// many columns have theirs.
+#[inline(always)]
+fn sparse<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     a: Matrix<'_>,
     b: Matrix<'_>,
     out: &mut Output<'_>,
 ) -> usize {
-    let mut masks = [0; MASKS];
-    for k in (0..a.cols).step_by(BLOCK) {
-        let end = a.cols.min(k + BLOCK);
-        for first in (0..a.rows).step_by(MASKS) {
-            let last = a.rows.min(first + MASKS);
-            for (mask, i) in masks.iter_mut().zip(first..last) {
-                *mask = self::mask::<L>(&a.data[i * a.cols + k..i * a.cols + end]);
+    let words = words(ROWS);
+    for k in (0..a.cols).step_by(words * WORD) {
+        let end = a.cols.min(k + words * WORD);
+        let terms = Terms {
+            right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
+            begin: (k == 0).then_some(out.bias),
+            finish: (end == a.cols).then_some(out.finish),
+        };
+        if (end - k).is_multiple_of(WORD) {
+            let row = |i: usize| a.data[i * a.cols + k..i * a.cols + end].as_chunks::<WORD>().0;
+            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, a.rows, row, |i| i, out.data);
+        } else {
+            // What is missing of the last word is zero.
+            for i in 0..a.rows {
+                let mut row = [[0.0; WORD]; WORDS];
+                row.as_flattened_mut()[..end - k].copy_from_slice(&a.data[i * a.cols + k..i * a.cols + end]);
+                let words = &row[..(end - k).div_ceil(WORD)];
+                sparse_rows::<L, 1, LAST, LAST>(&terms, 1, |_| words, |_| i, out.data);
             }
-            let terms = Terms {
-                masks: &masks[..last - first],
-                right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
-                begin: (k == 0).then_some(out.bias),
-                finish: (end == a.cols).then_some(out.finish),
-                row: first,
-            };
-            let (left, cols) = (&a.data[first * a.cols + k..], a.cols);
-            sparse_stripes::<L, SPARSE, LAST>(&terms, move |r, k| left[r * cols + k], out.data);
         }
     }
     b.cols - b.cols % 32
@@ -272,16 +334,19 @@ fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     }
 }
 
-/// All rows of one stripe of columns. Narrow stripes take many rows at once: each sum is a chain, and
-/// only independent chains keep the machine busy.
+/// All rows of one stripe of columns, `ROWS` at once. Narrow stripes take many: each sum is a chain, and only
+/// independent chains keep the machine busy.
 #[inline(always)]
-fn stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut Output<'_>, j: usize) {
+fn stripe<L: Lanes, const ROWS: usize, const VECTORS: usize>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut Output<'_>,
+    j: usize,
+) {
     let mut i = 0;
-    if VECTORS == 1 {
-        while i + 8 <= a.rows {
-            tile::<L, 8, VECTORS>(a, b, out, i, j);
-            i += 8;
-        }
+    while i + ROWS <= a.rows {
+        tile::<L, ROWS, VECTORS>(a, b, out, i, j);
+        i += ROWS;
     }
     while i + 4 <= a.rows {
         tile::<L, 4, VECTORS>(a, b, out, i, j);
@@ -293,10 +358,17 @@ fn stripe<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mu
     }
 }
 
-/// `C = start + A·B` with A `[m, k]`, B `[k, n]`, C `[m, n]`, in stripes of so many vectors: `DENSE` or
-/// `SPARSE`, and `LAST` for 32 columns.
+/// `C = start + A·B` with A `[m, k]`, B `[k, n]`, C `[m, n]`, in tiles of so many rows and vectors: `DROWS` and `DENSE`
+/// of dense factors, `ROWS` and `SPARSE` of others, and `LAST` vectors for 32 columns.
 #[inline(always)]
-pub(super) fn product_body<L: Lanes, const DENSE: usize, const SPARSE: usize, const LAST: usize>(
+pub(super) fn product_body<
+    L: Lanes,
+    const DROWS: usize,
+    const DENSE: usize,
+    const ROWS: usize,
+    const SPARSE: usize,
+    const LAST: usize,
+>(
     factors: Factors,
     a: Matrix<'_>,
     b: Matrix<'_>,
@@ -306,26 +378,26 @@ pub(super) fn product_body<L: Lanes, const DENSE: usize, const SPARSE: usize, co
     let mut j = 0;
     if factors == Factors::Sparse && b.cols >= 32 {
         debug_assert!(c.bias.is_none_or(|bias| bias.iter().all(|b| b.to_bits() != 1 << 31)), "no bias is -0");
-        j = sparse::<L, SPARSE, LAST>(a, b, &mut c);
+        j = sparse::<L, ROWS, SPARSE, LAST>(a, b, &mut c);
     }
     while j + DENSE * lanes::<L>() <= b.cols {
-        stripe::<L, DENSE>(a, b, &mut c, j);
+        stripe::<L, DROWS, DENSE>(a, b, &mut c, j);
         j += DENSE * lanes::<L>();
     }
     while j + lanes::<L>() <= b.cols {
-        stripe::<L, 1>(a, b, &mut c, j);
+        stripe::<L, 8, 1>(a, b, &mut c, j);
         j += lanes::<L>();
     }
     while j + lanes::<Baseline>() <= b.cols {
-        stripe::<Baseline, 1>(a, b, &mut c, j);
+        stripe::<Baseline, 8, 1>(a, b, &mut c, j);
         j += lanes::<Baseline>();
     }
     if j + 2 <= b.cols {
-        stripe::<One, 2>(a, b, &mut c, j);
+        stripe::<One, 4, 2>(a, b, &mut c, j);
         j += 2;
     }
     if j < b.cols {
-        stripe::<One, 1>(a, b, &mut c, j);
+        stripe::<One, 8, 1>(a, b, &mut c, j);
     }
 }
 
@@ -355,13 +427,16 @@ fn tile_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize>(
 }
 
 #[inline(always)]
-fn stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], j: usize) {
+fn stripe_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    out: &mut [f32],
+    j: usize,
+) {
     let mut i = 0;
-    if VECTORS == 1 {
-        while i + 8 <= a.cols {
-            tile_transposed::<L, 8, VECTORS>(a, b, out, i, j);
-            i += 8;
-        }
+    while i + ROWS <= a.cols {
+        tile_transposed::<L, ROWS, VECTORS>(a, b, out, i, j);
+        i += ROWS;
     }
     while i + 4 <= a.cols {
         tile_transposed::<L, 4, VECTORS>(a, b, out, i, j);
@@ -373,48 +448,73 @@ fn stripe_transposed<L: Lanes, const VECTORS: usize>(a: Matrix<'_>, b: Matrix<'_
     }
 }
 
-/// As [`sparse`], with the columns of A for its rows.
+/// As [`sparse`], with the columns of A for its rows. Columns that are all zero take no time: the units that are
+/// inactive in every sample.
 #[inline(always)]
-fn sparse_transposed<L: Lanes, const SPARSE: usize, const LAST: usize>(
+fn sparse_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     a: Matrix<'_>,
     b: Matrix<'_>,
     out: &mut [f32],
 ) -> usize {
-    for k in (0..a.rows).step_by(BLOCK) {
-        let end = a.rows.min(k + BLOCK);
-        for first in (0..a.cols).step_by(MASKS) {
-            let last = a.cols.min(first + MASKS);
-            let mut masks = [0; MASKS];
-            // In halves: twice as many fit in a vector.
-            for (half, rows) in a.data[k * a.cols..end * a.cols].chunks(BLOCK / 2 * a.cols).enumerate() {
-                let mut halves = [0u32; MASKS];
-                for (l, left) in rows.chunks_exact(a.cols).enumerate() {
-                    for (mask, x) in halves.iter_mut().zip(&left[first..last]) {
-                        *mask |= u32::from(*x != 0.0) << l;
-                    }
-                }
-                for (mask, part) in masks.iter_mut().zip(halves) {
-                    *mask |= u64::from(part) << (BLOCK / 2 * half);
+    let whole = b.cols - b.cols % 32;
+    for k in (0..a.rows).step_by(WORD) {
+        let end = a.rows.min(k + WORD);
+        let terms = Terms {
+            right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
+            begin: (k == 0).then_some(None),
+            finish: None,
+        };
+        for first in (0..a.cols).step_by(WORD) {
+            let last = a.cols.min(first + WORD);
+            // A row each, the samples side by side.
+            let mut factors = [[0.0; WORD]; WORD];
+            transpose_part::<L>(&a.data[k * a.cols + first..], [end - k, last - first], a.cols, &mut factors);
+            // The rows that are not all zero.
+            let (mut active, mut count) = ([0; WORD], 0);
+            for (i, row) in factors.iter().enumerate().take(last - first) {
+                if row.iter().any(|x| *x != 0.0) {
+                    active[count] = i;
+                    count += 1;
+                } else if k == 0 {
+                    out[(first + i) * b.cols..(first + i) * b.cols + whole].fill(0.0);
                 }
             }
-            let terms = Terms {
-                masks: &masks[..last - first],
-                right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
-                begin: (k == 0).then_some(None),
-                finish: None,
-                row: first,
-            };
-            let (left, cols) = (&a.data[k * a.cols + first..], a.cols);
-            sparse_stripes::<L, SPARSE, LAST>(&terms, move |r, k| left[k * cols + r], out);
+            let row = |i: usize| core::slice::from_ref(&factors[active[i]]);
+            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, count, row, |i| first + active[i], out);
         }
     }
-    b.cols - b.cols % 32
+    whole
+}
+
+/// Writes `rows` by `cols` numbers of `from`, whose rows are `stride` apart, with rows for columns.
+#[inline(always)]
+fn transpose_part<L: Lanes>(from: &[f32], [rows, cols]: [usize; 2], stride: usize, to: &mut [Word; WORD]) {
+    let side = lanes::<L>();
+    let (whole_rows, whole_cols) = (rows - rows % side, cols - cols % side);
+    let flat = to.as_flattened_mut();
+    for r in (0..whole_rows).step_by(side) {
+        for c in (0..whole_cols).step_by(side) {
+            L::transpose(&from[r * stride + c..], stride, &mut flat[c * WORD + r..], WORD);
+        }
+    }
+    for r in 0..rows {
+        for c in if r < whole_rows { whole_cols..cols } else { 0..cols } {
+            flat[c * WORD + r] = from[r * stride + c];
+        }
+    }
 }
 
 /// `C = Aᵀ·B` with A `[k, m]`, B `[k, n]`, C `[m, n]`: the gradient of a weight matrix. Stripes as in
 /// [`product_body`].
 #[inline(always)]
-pub(super) fn product_transposed_body<L: Lanes, const DENSE: usize, const SPARSE: usize, const LAST: usize>(
+pub(super) fn product_transposed_body<
+    L: Lanes,
+    const DROWS: usize,
+    const DENSE: usize,
+    const ROWS: usize,
+    const SPARSE: usize,
+    const LAST: usize,
+>(
     factors: Factors,
     a: Matrix<'_>,
     b: Matrix<'_>,
@@ -423,22 +523,22 @@ pub(super) fn product_transposed_body<L: Lanes, const DENSE: usize, const SPARSE
     assert_eq!(a.rows, b.rows, "inner sizes of a product agree");
     let mut j = 0;
     if factors == Factors::Sparse && b.cols >= 32 {
-        j = sparse_transposed::<L, SPARSE, LAST>(a, b, out);
+        j = sparse_transposed::<L, ROWS, SPARSE, LAST>(a, b, out);
     }
     while j + DENSE * lanes::<L>() <= b.cols {
-        stripe_transposed::<L, DENSE>(a, b, out, j);
+        stripe_transposed::<L, DROWS, DENSE>(a, b, out, j);
         j += DENSE * lanes::<L>();
     }
     while j + lanes::<L>() <= b.cols {
-        stripe_transposed::<L, 1>(a, b, out, j);
+        stripe_transposed::<L, 8, 1>(a, b, out, j);
         j += lanes::<L>();
     }
     while j + lanes::<Baseline>() <= b.cols {
-        stripe_transposed::<Baseline, 1>(a, b, out, j);
+        stripe_transposed::<Baseline, 8, 1>(a, b, out, j);
         j += lanes::<Baseline>();
     }
     while j < b.cols {
-        stripe_transposed::<One, 1>(a, b, out, j);
+        stripe_transposed::<One, 8, 1>(a, b, out, j);
         j += 1;
     }
 }
@@ -502,14 +602,17 @@ pub(super) fn add_to_rows_body(rows: &mut [f32], indices: &[u32], add: &[f32]) {
 /// Independent chains of a multiplication and an addition, for measuring what the machine can do at most
 /// without fusing them: `rounds` passes over the lanes of `x`, two operations per lane and pass.
 #[inline(always)]
-pub(super) fn probe_body(rounds: usize, x: &mut [f32; PROBE_LANES]) {
-    let mut lanes = *x;
-    for _ in 0..rounds {
-        for lane in &mut lanes {
-            *lane = *lane * 0.999 + 0.001;
+pub(super) fn probe_body<L: Lanes>(rounds: usize, x: &mut [f32; PROBE_LANES]) {
+    let (factor, one) = (L::splat(0.999), L::splat(0.001));
+    for part in x.chunks_exact_mut(PROBE_CHAINS * lanes::<L>()) {
+        let mut chains = load::<L, PROBE_CHAINS>(part);
+        for _ in 0..rounds {
+            for chain in &mut chains {
+                *chain = L::add_product(one, *chain, factor);
+            }
         }
+        store::<L, PROBE_CHAINS>(&chains, part);
     }
-    *x = lanes;
 }
 
 /// `out[c] = Σ_r a[r, c]`, rows in order: the gradient of a bias.
@@ -525,25 +628,29 @@ pub(super) fn sum_columns_body(a: Matrix<'_>, out: &mut [f32]) {
 
 /// `out[c, r] = a[r, c]`, in square blocks.
 #[inline(always)]
-pub(super) fn transpose_body<const BLOCK: usize>(a: Matrix<'_>, out: &mut [f32]) {
-    let (rows, cols) = (a.rows, a.cols);
-    let (whole_rows, whole_cols) = (rows - rows % BLOCK, cols - cols % BLOCK);
-    for c in (0..whole_cols).step_by(BLOCK) {
-        for r in (0..whole_rows).step_by(BLOCK) {
-            let block: [[f32; BLOCK]; BLOCK] = core::array::from_fn(|i| {
-                let at = (r + i) * cols + c;
-                a.data[at..at + BLOCK].try_into().expect("a full block")
-            });
-            for j in 0..BLOCK {
-                let column: [f32; BLOCK] = core::array::from_fn(|i| block[i][j]);
-                out[(c + j) * rows + r..(c + j) * rows + r + BLOCK].copy_from_slice(&column);
-            }
+pub(super) fn transpose_body<L: Lanes>(a: Matrix<'_>, out: &mut [f32]) {
+    let (rows, cols, side) = (a.rows, a.cols, lanes::<L>());
+    let (whole_rows, whole_cols) = (rows - rows % side, cols - cols % side);
+    for c in (0..whole_cols).step_by(side) {
+        for r in (0..whole_rows).step_by(side) {
+            L::transpose(&a.data[r * cols + c..], cols, &mut out[c * rows + r..], rows);
         }
     }
     for r in 0..rows {
         for c in if r < whole_rows { whole_cols..cols } else { 0..cols } {
             out[c * rows + r] = a.data[r * cols + c];
         }
+    }
+}
+
+/// [`Lanes::transpose`] for `SIDE` lanes, left to the compiler.
+#[inline(always)]
+pub(super) fn square<const SIDE: usize>(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize) {
+    let block: [[f32; SIDE]; SIDE] =
+        core::array::from_fn(|i| from[i * stride..i * stride + SIDE].try_into().expect("a full block"));
+    for j in 0..SIDE {
+        let column: [f32; SIDE] = core::array::from_fn(|i| block[i][j]);
+        to[j * to_stride..j * to_stride + SIDE].copy_from_slice(&column);
     }
 }
 

@@ -128,6 +128,8 @@ pub(super) trait Lanes {
     }
     /// Bit `l` is set where number `l` is not zero; what is not a number is not zero.
     fn nonzero(x: &[f32; 16]) -> u32;
+    /// Writes a square of as many rows as lanes with rows for columns; rows are `stride` and `to_stride` apart.
+    fn transpose(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize);
 }
 
 /// Four lanes: the compile target's own vectors.
@@ -143,9 +145,10 @@ use core::arch::wasm32::{
 use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_mul_ps, _mm_sqrt_ps};
 #[cfg(target_arch = "x86_64")]
 use core::arch::x86_64::{
-    __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps,
-    _mm256_setzero_ps, _mm256_sqrt_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_mul_ps, _mm512_set1_ps,
-    _mm512_setzero_ps, _mm512_sqrt_ps,
+    __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_movemask_ps, _mm256_mul_ps,
+    _mm256_permute2f128_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_shuffle_ps, _mm256_sqrt_ps, _mm256_unpackhi_ps,
+    _mm256_unpacklo_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_mul_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    _mm512_sqrt_ps,
 };
 /// No vectors at all.
 #[cfg(not(any(
@@ -304,6 +307,11 @@ impl Lanes for Baseline {
             (0..16).fold(0, |mask, l| mask | u32::from(x[l] != 0.0) << l)
         }
     }
+
+    #[inline(always)]
+    fn transpose(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize) {
+        gemm::square::<4>(from, stride, to, to_stride);
+    }
 }
 
 /// One lane: what is left of a row.
@@ -345,6 +353,11 @@ impl Lanes for One {
     #[inline(always)]
     fn nonzero(x: &[f32; 16]) -> u32 {
         Baseline::nonzero(x)
+    }
+
+    #[inline(always)]
+    fn transpose(from: &[f32], _stride: usize, to: &mut [f32], _to_stride: usize) {
+        to[0] = from[0];
     }
 }
 
@@ -399,6 +412,31 @@ impl Lanes for Avx2 {
             low | high << 8
         }
     }
+
+    // Compilers make loads and stores of single numbers of the plain loops.
+    #[inline(always)]
+    fn transpose(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize) {
+        let rows: [__m256; 8] = core::array::from_fn(|r| Self::load(&from[r * stride..]));
+        let columns = unsafe {
+            // Pairs of rows, then fours, each in both halves of the vectors; then the halves.
+            let pairs: [__m256; 8] = core::array::from_fn(|i| {
+                let (a, b) = (rows[i / 2 * 2], rows[i / 2 * 2 + 1]);
+                if i % 2 == 0 { _mm256_unpacklo_ps(a, b) } else { _mm256_unpackhi_ps(a, b) }
+            });
+            let fours: [__m256; 8] = core::array::from_fn(|i| {
+                let (a, b) = (pairs[i / 4 * 4 + i % 4 / 2], pairs[i / 4 * 4 + i % 4 / 2 + 2]);
+                if i % 2 == 0 { _mm256_shuffle_ps::<0x44>(a, b) } else { _mm256_shuffle_ps::<0xEE>(a, b) }
+            });
+            let columns: [__m256; 8] = core::array::from_fn(|i| {
+                let (a, b) = (fours[i % 4], fours[i % 4 + 4]);
+                if i < 4 { _mm256_permute2f128_ps::<0x20>(a, b) } else { _mm256_permute2f128_ps::<0x31>(a, b) }
+            });
+            columns
+        };
+        for (c, column) in columns.into_iter().enumerate() {
+            Self::store(column, &mut to[c * to_stride..]);
+        }
+    }
 }
 
 /// 512-bit vectors.
@@ -450,6 +488,11 @@ impl Lanes for Avx512 {
             u32::from(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(x, _mm512_setzero_ps()))
         }
     }
+
+    #[inline(always)]
+    fn transpose(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize) {
+        gemm::square::<16>(from, stride, to, to_stride);
+    }
 }
 
 /// Compiles one kernel for every vector unit and calls the one of an [`Isa`].
@@ -485,15 +528,15 @@ macro_rules! kernel {
 kernel!(
     /// `C = start + A·B`, see [`gemm`].
     product(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: Output<'_>),
-    baseline: gemm::product_body::<Baseline, 2, 8, 8>, avx2: gemm::product_body::<Avx2, 2, 8, 4>,
-    avx512: gemm::product_body::<Avx512, 4, 8, 2>
+    baseline: gemm::product_body::<Baseline, 6, 2, 6, 2, 8>, avx2: gemm::product_body::<Avx2, 6, 2, 6, 2, 4>,
+    avx512: gemm::product_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
     /// `C = Aᵀ·B`, see [`gemm`].
     product_transposed(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]),
-    baseline: gemm::product_transposed_body::<Baseline, 2, 8, 8>,
-    avx2: gemm::product_transposed_body::<Avx2, 2, 8, 4>,
-    avx512: gemm::product_transposed_body::<Avx512, 4, 8, 2>
+    baseline: gemm::product_transposed_body::<Baseline, 6, 2, 6, 2, 8>,
+    avx2: gemm::product_transposed_body::<Avx2, 6, 2, 6, 2, 4>,
+    avx512: gemm::product_transposed_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
     /// `out = bias + Σ rows[index]`, see [`gemm`].
@@ -521,12 +564,13 @@ kernel!(
 kernel!(
     /// `out = aᵀ`, see [`gemm`].
     transpose(a: Matrix<'_>, out: &mut [f32]),
-    baseline: gemm::transpose_body::<4>, avx2: gemm::transpose_body::<8>, avx512: gemm::transpose_body::<16>
+    baseline: gemm::transpose_body::<Baseline>, avx2: gemm::transpose_body::<Avx2>,
+    avx512: gemm::transpose_body::<Avx512>
 );
 kernel!(
     /// The most multiply-adds that can be had, see [`gemm`].
     probe(rounds: usize, x: &mut [f32; gemm::PROBE_LANES]),
-    baseline: gemm::probe_body, avx2: gemm::probe_body, avx512: gemm::probe_body
+    baseline: gemm::probe_body::<Baseline>, avx2: gemm::probe_body::<Avx2>, avx512: gemm::probe_body::<Avx512>
 );
 
 #[cfg(test)]
