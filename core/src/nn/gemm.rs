@@ -588,14 +588,39 @@ pub(super) fn sum_rows_body<L: Lanes, const VECTORS: usize>(
     }
 }
 
-/// `rows[index] += add` for every index: the first layer's gradient for one input row.
 #[inline(always)]
-pub(super) fn add_to_rows_body(rows: &mut [f32], indices: &[u32], add: &[f32]) {
-    for &index in indices {
-        let at = index as usize * add.len();
-        for (sum, x) in rows[at..at + add.len()].iter_mut().zip(add) {
-            *sum += x;
+fn marked_block<L: Lanes, const VECTORS: usize>(rows: Matrix<'_>, marks: &[u64], out: &mut [f32], j: usize) {
+    let mut sums = [L::splat(0.0); VECTORS];
+    for (word, &mask) in marks.iter().enumerate() {
+        let mut mask = mask;
+        while mask != 0 {
+            let at = (WORD * word + mask.trailing_zeros() as usize) * rows.cols + j;
+            mask &= mask - 1;
+            let row = &rows.data[at..at + VECTORS * lanes::<L>()];
+            for (v, sum) in sums.iter_mut().enumerate() {
+                *sum = L::add(*sum, L::load(&row[v * lanes::<L>()..]));
+            }
         }
+    }
+    store::<L, VECTORS>(&sums, &mut out[j..]);
+}
+
+/// `out = Σ rows[r]` over the rows whose bit is set in `marks`, in ascending order: the first layer's gradient for an
+/// input of zeros and ones, where the marks are the samples in which it is one.
+#[inline(always)]
+pub(super) fn sum_marked_body<L: Lanes, const WIDE: usize>(rows: Matrix<'_>, marks: &[u64], out: &mut [f32]) {
+    let mut j = 0;
+    while j + WIDE * lanes::<L>() <= rows.cols {
+        marked_block::<L, WIDE>(rows, marks, out, j);
+        j += WIDE * lanes::<L>();
+    }
+    while j + lanes::<L>() <= rows.cols {
+        marked_block::<L, 1>(rows, marks, out, j);
+        j += lanes::<L>();
+    }
+    while j < rows.cols {
+        marked_block::<One, 1>(rows, marks, out, j);
+        j += 1;
     }
 }
 
@@ -757,12 +782,25 @@ mod tests {
                 isa::product(isa, Factors::Dense, Matrix::new(&input, 1, width), Matrix::new(&weights, width, n), out);
                 isa::sum_rows(isa, Matrix::new(&weights, width, n), &indices, &bias, &mut sparse);
                 assert_eq!(bits(&dense), bits(&sparse), "{isa:?}");
-                let mut grads = vec![1.0; width * n];
-                isa::add_to_rows(isa, &mut grads, &indices, &bias);
-                for (row, chunk) in grads.chunks(n).enumerate() {
-                    let active = indices.contains(&(row as u32));
-                    assert!(chunk.iter().zip(&bias).all(|(g, b)| *g == if active { 1.0 + b } else { 1.0 }));
-                }
+            }
+        }
+    }
+
+    #[test]
+    fn marked_rows_are_summed_in_order() {
+        let mut rng = Rng::new(6);
+        for (count, n) in [(3, 128), (70, 45), (64, 3)] {
+            let rows = random(count * n, &mut rng);
+            let marks: Vec<u64> = (0..count.div_ceil(WORD)).map(|_| rng.next_u64()).collect();
+            let marked = |r: usize| r < count && marks[r / WORD] >> (r % WORD) & 1 == 1;
+            let marks: Vec<u64> =
+                (0..marks.len()).map(|w| (0..WORD).filter(|b| marked(WORD * w + b)).map(|b| 1 << b).sum()).collect();
+            let expected: Vec<f32> =
+                (0..n).map(|c| (0..count).filter(|&r| marked(r)).fold(0.0, |sum, r| sum + rows[r * n + c])).collect();
+            for isa in Isa::supported() {
+                let mut out = vec![f32::NAN; n];
+                isa::sum_marked(isa, Matrix::new(&rows, count, n), &marks, &mut out);
+                assert_eq!(bits(&out), bits(&expected), "{isa:?} {count} {n}");
             }
         }
     }

@@ -539,7 +539,7 @@ kernel!(
     avx512: gemm::product_transposed_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
-    /// `out = bias + Σ rows[index]`, see [`gemm`].
+    /// `out = relu(bias + Σ rows[index])`, see [`gemm`].
     sum_rows(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32]),
     baseline: gemm::sum_rows_body::<Baseline, 8>, avx2: gemm::sum_rows_body::<Avx2, 8>,
     avx512: gemm::sum_rows_body::<Avx512, 8>
@@ -550,9 +550,10 @@ kernel!(
     baseline: gemm::sum_columns_body, avx2: gemm::sum_columns_body, avx512: gemm::sum_columns_body
 );
 kernel!(
-    /// `rows[index] += add` for every index, see [`gemm`].
-    add_to_rows(rows: &mut [f32], indices: &[u32], add: &[f32]),
-    baseline: gemm::add_to_rows_body, avx2: gemm::add_to_rows_body, avx512: gemm::add_to_rows_body
+    /// `out = Σ rows[r]` over marked rows, see [`gemm`].
+    sum_marked(rows: Matrix<'_>, marks: &[u64], out: &mut [f32]),
+    baseline: gemm::sum_marked_body::<Baseline, 8>, avx2: gemm::sum_marked_body::<Avx2, 8>,
+    avx512: gemm::sum_marked_body::<Avx512, 8>
 );
 kernel!(
     /// One step of the optimiser over a range of parameters, see [`optim`].

@@ -16,6 +16,9 @@ use super::optim::Adam;
 use super::rows::Rows;
 use crate::rng::Rng;
 
+/// Samples that a word of marks has room for.
+const WORD: usize = u64::BITS as usize;
+
 /// A network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mlp {
@@ -41,7 +44,8 @@ pub struct Scratch {
 pub struct Gradient {
     values: Buffer,
     touched: Vec<u32>,
-    is_touched: Vec<bool>,
+    /// For every binary input, the samples in which it is one: a bit each.
+    marks: Vec<u64>,
     row: usize,
 }
 
@@ -56,9 +60,25 @@ impl Gradient {
         for &index in &self.touched {
             let at = index as usize * self.row;
             self.values[at..at + self.row].fill(0.0);
-            self.is_touched[index as usize] = false;
         }
         self.touched.clear();
+    }
+
+    /// Notes which inputs are one in which of the first `count` rows; returns the words of marks per input.
+    fn mark_samples(&mut self, rows: &Rows, count: usize) -> usize {
+        let words = count.div_ceil(WORD);
+        self.marks.clear();
+        self.marks.resize(rows.width() * words, 0);
+        for row in 0..count {
+            for &index in rows.ones(row) {
+                let marks = &mut self.marks[index as usize * words..(index as usize + 1) * words];
+                if marks.iter().all(|mark| *mark == 0) {
+                    self.touched.push(index);
+                }
+                marks[row / WORD] |= 1 << (row % WORD);
+            }
+        }
+        words
     }
 
     /// Tells the optimiser which first-layer rows have a gradient.
@@ -275,7 +295,6 @@ impl Mlp {
         if gradient.values.len() != self.params.len() {
             gradient.values = Buffer::zeros(self.params.len());
             gradient.touched.clear();
-            gradient.is_touched = vec![false; self.sizes[0]];
             gradient.row = self.sizes[1];
         }
         let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
@@ -284,21 +303,21 @@ impl Mlp {
             let (inputs, outputs) = (layer.inputs, layer.outputs);
             let d = Matrix::new(delta, count, outputs);
             isa::sum_columns(isa, d, &mut gradient.values[layer.bias..layer.bias + outputs]);
+            if index == 0 && rows.is_binary() {
+                let words = gradient.mark_samples(rows, count);
+                for &input in &gradient.touched {
+                    let (at, marks) = (layer.weights + input as usize * outputs, input as usize * words);
+                    let weights = &mut gradient.values[at..at + outputs];
+                    isa::sum_marked(isa, d, &gradient.marks[marks..marks + words], weights);
+                }
+                break;
+            }
             let weights = &mut gradient.values[layer.weights..layer.bias];
             if index > 0 {
                 let h = Matrix::new(&activations[index - 1], count, inputs);
                 isa::product_transposed(isa, factors(index), h, d, weights);
                 self.data_gradient(layer, 0, d, Finish::Where(h.data), transposed, next_delta);
                 core::mem::swap(delta, next_delta);
-            } else if rows.is_binary() {
-                for row in 0..count {
-                    isa::add_to_rows(isa, weights, rows.ones(row), &d.data[row * outputs..(row + 1) * outputs]);
-                    for &index in rows.ones(row) {
-                        if !core::mem::replace(&mut gradient.is_touched[index as usize], true) {
-                            gradient.touched.push(index);
-                        }
-                    }
-                }
             } else {
                 let x = Matrix::new(rows.dense(), count, inputs);
                 isa::product_transposed(isa, factors(index), x, d, weights);
