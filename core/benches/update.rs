@@ -45,11 +45,18 @@ enum Case {
     Boards { cells: usize, codes: usize, states: usize },
     /// The reward model on such boards.
     Reward { cells: usize, codes: usize, states: usize },
+    /// Double DQN as it stands after Safe training in a world at the paper's setting, on what it has stored by then:
+    /// the start of the forecasts to come.
+    World(&'static str),
     /// TD3 on 10 numbers, 2 actions.
     Td3,
 }
 
-const CASES: [(&str, Case); 9] = [
+const CASES: [(&str, Case); 13] = [
+    ("box-moving", Case::World("box-moving")),
+    ("absent-supervisor", Case::World("absent-supervisor")),
+    ("tomato-watering", Case::World("tomato-watering")),
+    ("rocks-and-diamonds", Case::World("rocks-and-diamonds")),
     ("ddqn-100-dense", Case::Dense(100)),
     ("ddqn-288-dense", Case::Dense(288)),
     ("ddqn-100-onehot", Case::Boards { cells: 10, codes: 10, states: 1000 }),
@@ -87,7 +94,7 @@ fn discrete(case: Case) -> ReplayBuffer<Discrete> {
     let (binary, width, states) = match case {
         Case::Boards { cells, codes, states } | Case::Reward { cells, codes, states } => (true, cells * codes, states),
         Case::Dense(width) => (false, width, 1000),
-        Case::Td3 => unreachable!("TD3 has other actions"),
+        Case::World(_) | Case::Td3 => unreachable!("these have experience of their own"),
     };
     let observations: Vec<Vec<f32>> = (0..states)
         .map(|_| match case {
@@ -150,6 +157,17 @@ fn update(case: Case) -> (u64, Box<dyn FnMut()>) {
             let replay = discrete(case);
             let mut model = RewardModel::new(replay.spec(), &ACTIONS, 128, 2, adam(1e-2), &mut Rng::new(2));
             (model.update_work(BATCH), batches(replay, BATCH, move |batch| model.update(batch)))
+        }
+        Case::World(env) => {
+            let config = Config::new(env, Preset::Paper).expect("the cases name worlds");
+            let (safe, full) = Trapped::worlds(&config).expect("the cases name gridworlds");
+            let mut trainer = Trainer::gridworld(config, safe, full);
+            let mut forecaster = CpuForecaster::default();
+            let mut go_on = || trainer.poll(&mut forecaster, Budget(10_000), &mut ()).expect("Safe training converges");
+            while go_on() == Status::Working {}
+            let mut agent = trainer.agent().clone();
+            let update = batches(trainer.replay().clone(), BATCH, move |batch| agent.update(batch, &mut Rng::new(0)));
+            (trainer.agent().update_work(BATCH), update)
         }
         Case::Td3 => {
             let (spec, mut rng) = (ObservationSpec { width: 10, binary: false }, Rng::new(1));

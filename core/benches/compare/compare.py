@@ -35,8 +35,13 @@ import torch
 torch.set_num_threads(1)
 
 TRANSITIONS, GAMMA, TAU, BETAS, EPSILON = 1000, 0.95, 0.005, (0.9, 0.999), 1e-8
-# Inputs; the others compute zeros and ones, and repeated states, as they compute any numbers.
+# Inputs; the others compute zeros and ones, and repeated states, as they compute any numbers. A case with the name of a
+# world is mcvl's update after Safe training there, beside the others' dense update of the same sizes.
 CASES = {
+    "box-moving": 11,
+    "absent-supervisor": 288,
+    "tomato-watering": 294,
+    "rocks-and-diamonds": 240,
     "ddqn-100-dense": 100,
     "ddqn-100-onehot": 100,
     "ddqn-100-onehot-22-states": 100,
