@@ -528,13 +528,13 @@ macro_rules! kernel {
 kernel!(
     /// `C = start + A·B`, see [`gemm`].
     product(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: Output<'_>),
-    baseline: gemm::product_body::<Baseline, 6, 2, 6, 2, 8>, avx2: gemm::product_body::<Avx2, 6, 2, 6, 2, 4>,
+    baseline: gemm::product_body::<Baseline, 4, 2, 1, 8, 8>, avx2: gemm::product_body::<Avx2, 6, 2, 6, 2, 4>,
     avx512: gemm::product_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
     /// `C = Aᵀ·B`, see [`gemm`].
     product_transposed(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]),
-    baseline: gemm::product_transposed_body::<Baseline, 6, 2, 6, 2, 8>,
+    baseline: gemm::product_transposed_body::<Baseline, 4, 2, 1, 8, 8>,
     avx2: gemm::product_transposed_body::<Avx2, 6, 2, 6, 2, 4>,
     avx512: gemm::product_transposed_body::<Avx512, 4, 4, 1, 8, 2>
 );
