@@ -11,7 +11,8 @@
 //! Multiply-adds (`MA`) by the dense definition, with `B` samples and `F` multiply-adds of a network's
 //! forward pass of one row, of which `F₁` in the first layer; a backward pass is `2F − F₁`, since nobody asks
 //! for the gradient of the inputs. [`probe`](isa::probe) measures how many the machine reaches without
-//! fusing, `P`; the floor of a term is its multiply-adds over `P`.
+//! fusing, `P`; the floor of a term is its multiply-adds over `P`. The tables have the floors of a core with AVX-512;
+//! one of an AMD EPYC (Zen 3, AVX2) has `P` = 50 G/s.
 //!
 //! | DDQN, `B` = 32, two layers of 128, 4 actions | 100 inputs | 288 inputs |
 //! |---|---|---|
@@ -30,14 +31,15 @@
 //! | optimisers | 138,754 parameters, 3.9 MB; with the actor 207,876, 7.5 MB |
 //!
 //! What is done about each term:
-//! - **First layer on zeros and ones**: a sum of the rows that are one, forwards and backwards: `n·128`
-//!   additions for `n` ones instead of `inputs·128` multiply-adds.
+//! - **First layer on zeros and ones**: a sum of the rows that are one, forwards: `n·128` additions for `n` ones
+//!   instead of `inputs·128` multiply-adds. Backwards, for every input a sum over the samples in which it is one, in
+//!   registers and written once.
 //! - **Equal rows** of a batch are computed once: with `S` distinct states, `N` distinct next states that do
 //!   not terminate and `U` distinct rows of both, `U` and `N` rows go forward and `S` backward.
 //! - **Zeros behind a ReLU** are left out of every product of hidden layers ([`gemm`]), forwards (inputs of
-//!   the layer), in the gradient of the weights (the same inputs) and in that of the inputs (derivatives that
-//!   the next ReLU stopped). With a share `d` of the units active, that leaves about `d` of the work; finding
-//!   the zeros costs a comparison per 16 factors.
+//!   the layer), in the gradient of the weights (the same inputs, unit by unit) and in that of the inputs (derivatives
+//!   that the next ReLU stopped). With a share `d` of the units active in a tile of rows, that leaves `d` of the work;
+//!   finding the zeros costs a comparison per 16 factors of a tile.
 //! - **Gradient of the inputs**: the weights are transposed first (128·128 numbers: 4 µs, bounded by the
 //!   second cache), so that this product too runs over outputs side by side. The ReLU's derivative is taken
 //!   where the product is stored.
