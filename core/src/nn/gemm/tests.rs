@@ -1,0 +1,130 @@
+//! Tests of the products: every vector unit gives the bits of the definition.
+
+use super::*;
+use crate::nn::isa::{self, Isa};
+use crate::rng::Rng;
+use alloc::vec;
+use alloc::vec::Vec;
+
+fn random(len: usize, rng: &mut Rng) -> Vec<f32> {
+    (0..len).map(|_| rng.uniform() - 0.5).collect()
+}
+
+fn bits(x: &[f32]) -> Vec<u32> {
+    x.iter().map(|v| v.to_bits()).collect()
+}
+
+/// The definition, one output after the other.
+fn plain(m: usize, n: usize, k: usize, a: impl Fn(usize, usize) -> f32, b: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
+    let mut c = vec![0.0; m * n];
+    for i in 0..m {
+        for j in 0..n {
+            let mut sum = bias.map_or(0.0, |bias| bias[j]);
+            for kk in 0..k {
+                sum += a(i, kk) * b[kk * n + j];
+            }
+            c[i * n + j] = sum;
+        }
+    }
+    c
+}
+
+#[test]
+fn every_vector_unit_gives_the_bits_of_the_definition() {
+    let mut rng = Rng::new(3);
+    assert!(Isa::supported().count() >= 1);
+    for (m, n, k) in [(1, 1, 1), (3, 4, 5), (33, 128, 128), (7, 149, 11), (32, 2, 128), (65, 182, 70)] {
+        let (mut a, b, mut bias) = (random(m * k, &mut rng), random(k * n, &mut rng), random(n, &mut rng));
+        // Zeros of both signs, a row and a column of zeros, and a bias of zero.
+        for (i, x) in a.iter_mut().enumerate() {
+            if rng.bernoulli(0.5) || i / k == 2 || i % k == 3 {
+                *x *= 0.0;
+            }
+        }
+        bias[n / 2] = 0.0;
+        let at: Vec<f32> = (0..k * m).map(|i| a[(i % m) * k + i / m]).collect();
+        let expected = plain(m, n, k, |i, kk| a[i * k + kk], &b, Some(&bias));
+        let expected_t = plain(m, n, k, |i, kk| a[i * k + kk], &b, None);
+        for isa in Isa::supported() {
+            let mut c = vec![f32::NAN; m * n];
+            for factors in [Factors::Dense, Factors::Sparse] {
+                let out = Output { data: &mut c, bias: Some(&bias), finish: Finish::Plain };
+                isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
+                assert_eq!(bits(&c), bits(&expected), "{isa:?} {factors:?} {m} {n} {k}");
+                isa::product_transposed(isa, factors, Matrix::new(&at, k, m), Matrix::new(&b, k, n), &mut c);
+                assert_eq!(bits(&c), bits(&expected_t), "{isa:?} {factors:?} {m} {n} {k} transposed");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_done_last_is_done_once() {
+    // 40 terms: two blocks, of which the first ends below zero.
+    let (m, n, k) = (3, 36, 40);
+    let a: Vec<f32> = (0..m * k).map(|i| if i % k < 32 { -1.0 } else { 1.0 + (i / k) as f32 * 4.0 }).collect();
+    let b = vec![1.0; k * n];
+    let active: Vec<f32> = (0..m * n).map(|i| (i % 3) as f32 - 1.0).collect();
+    for isa in Isa::supported() {
+        for factors in [Factors::Dense, Factors::Sparse] {
+            let run = |finish| {
+                let mut c = vec![f32::NAN; m * n];
+                let out = Output { data: &mut c, bias: None, finish };
+                isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
+                c
+            };
+            let sums = [-24.0, 8.0, 40.0];
+            assert!(run(Finish::Relu).iter().enumerate().all(|(i, x)| *x == f32::max(sums[i / n], 0.0)));
+            let kept = |i: usize| if i % 3 == 2 { sums[i / n] } else { 0.0 };
+            assert!(run(Finish::Where(&active)).iter().enumerate().all(|(i, x)| *x == kept(i)));
+        }
+    }
+}
+
+#[test]
+fn sums_of_rows_equal_the_product_with_ones_and_zeros() {
+    let mut rng = Rng::new(4);
+    for (width, n, indices) in [(11, 128, vec![2u32, 7, 10]), (288, 70, vec![0, 5, 6, 287]), (9, 3, vec![])] {
+        let (weights, bias) = (random(width * n, &mut rng), random(n, &mut rng));
+        let mut input = vec![0.0; width];
+        indices.iter().for_each(|&i| input[i as usize] = 1.0);
+        for isa in Isa::supported() {
+            let (mut dense, mut sparse) = (vec![0.0; n], vec![0.0; n]);
+            let out = Output { data: &mut dense, bias: Some(&bias), finish: Finish::Relu };
+            isa::product(isa, Factors::Dense, Matrix::new(&input, 1, width), Matrix::new(&weights, width, n), out);
+            isa::sum_rows(isa, Matrix::new(&weights, width, n), &indices, &bias, &mut sparse);
+            assert_eq!(bits(&dense), bits(&sparse), "{isa:?}");
+        }
+    }
+}
+
+#[test]
+fn marked_rows_are_summed_in_order() {
+    let mut rng = Rng::new(6);
+    for (count, n) in [(3, 128), (70, 45), (64, 3)] {
+        let rows = random(count * n, &mut rng);
+        let marks: Vec<u64> = (0..count.div_ceil(WORD)).map(|_| rng.next_u64()).collect();
+        let marked = |r: usize| r < count && marks[r / WORD] >> (r % WORD) & 1 == 1;
+        let marks: Vec<u64> =
+            (0..marks.len()).map(|w| (0..WORD).filter(|b| marked(WORD * w + b)).map(|b| 1 << b).sum()).collect();
+        let expected: Vec<f32> =
+            (0..n).map(|c| (0..count).filter(|&r| marked(r)).fold(0.0, |sum, r| sum + rows[r * n + c])).collect();
+        for isa in Isa::supported() {
+            let mut out = vec![f32::NAN; n];
+            isa::sum_marked(isa, Matrix::new(&rows, count, n), &marks, &mut out);
+            assert_eq!(bits(&out), bits(&expected), "{isa:?} {count} {n}");
+        }
+    }
+}
+
+#[test]
+fn transposes() {
+    for (rows, cols) in [(2, 3), (8, 4), (13, 22), (128, 2), (1, 1)] {
+        let a: Vec<f32> = (0..rows * cols).map(|i| i as f32).collect();
+        for isa in Isa::supported() {
+            let mut t = vec![-1.0; rows * cols];
+            isa::transpose(isa, Matrix::new(&a, rows, cols), &mut t);
+            assert!((0..rows * cols).all(|i| t[(i % cols) * rows + i / cols] == a[i]), "{rows} x {cols}");
+        }
+    }
+}
