@@ -35,6 +35,8 @@ const DEPTH: u32 = 5;
 Targets: all, fig3, fig4a, fig4b, fig5, table (claims without a figure), or
 experiments like E1. A cell is one setting over its seeds; experiments share
 cells. What is finished is never trained again: the same command continues.
+A set can be made in parts: records of some seeds count with --from, and the
+records that are written then hold all of them.
 
 Examples:
   mcvl reproduce --quick                      all, fewer seeds, shorter phases
@@ -54,7 +56,8 @@ pub struct ReproduceArgs {
     /// Train this cell only; may be repeated
     #[arg(long, value_name = "CELL")]
     only: Vec<String>,
-    /// Use finished runs and records in this folder too; may be repeated
+    /// Use the finished seeds of runs and records in this folder too, and
+    /// train only what is missing; may be repeated
     #[arg(long, value_name = "DIR")]
     from: Vec<PathBuf>,
     /// Train nothing: judge what is there
@@ -94,13 +97,42 @@ struct Wanted {
 }
 
 /// How a cell stands.
-enum Standing {
-    /// It is finished; its record, and whether that was made just now, from a run.
-    Finished(Box<Record>, bool),
-    /// It was begun in the folder of this set.
-    Begun,
-    /// There is nothing.
-    Open,
+struct Standing {
+    /// Its finished seeds, if there are some, from the folder of this set and from elsewhere.
+    record: Option<Record>,
+    /// Whether a part of that was made just now, from a run.
+    made: bool,
+    /// The part from elsewhere.
+    lent: Option<Record>,
+    /// Whether it was begun in the folder of this set.
+    begun: bool,
+    /// Planned seeds that are not finished.
+    missing: Vec<u64>,
+}
+
+impl Standing {
+    /// A cell by what is known of it here and elsewhere; each with whether it was made just now.
+    fn new(wanted: &Wanted, own: Option<(Record, bool)>, lent: Option<(Record, bool)>, begun: bool) -> Self {
+        let made = [&own, &lent].into_iter().flatten().any(|(_, made)| *made);
+        let [own, lent] = [own, lent].map(|part| part.map(|(record, _)| record));
+        let missing = |there: Option<&Record>| {
+            let there = there.map_or(&[][..], Record::seeds);
+            wanted.plan.seeds.iter().copied().filter(|seed| !there.contains(seed)).collect::<Vec<_>>()
+        };
+        let record = joined(own.clone(), lent.as_ref());
+        let missing = match &record {
+            // What cannot be joined is of use only as a whole.
+            Some(whole) if !whole.is_joinable() && !missing(Some(whole)).is_empty() => missing(own.as_ref()),
+            record => missing(record.as_ref()),
+        };
+        Self { record, made, lent, begun, missing }
+    }
+}
+
+/// Both together; where that cannot be, the one with more seeds.
+fn joined(own: Option<Record>, lent: Option<&Record>) -> Option<Record> {
+    let (Some(own), Some(lent)) = (&own, lent) else { return own.or_else(|| lent.cloned()) };
+    own.join(lent).or_else(|| Some(if lent.seeds().len() > own.seeds().len() { lent } else { own }.clone()))
 }
 
 /// Reproduces.
@@ -112,10 +144,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     // Everything that is there is looked at before anything is changed.
     let mut standings: Vec<Standing> = Vec::new();
     for wanted in &wanted {
-        standings.push(match (folder.standing(wanted)?, lent.remove(wanted.cell.name)) {
-            (own @ Standing::Finished(..), _) | (own, None) => own,
-            (_, Some((lent, made))) => Standing::Finished(Box::new(lent), made),
-        });
+        standings.push(folder.standing(wanted, lent.remove(wanted.cell.name))?);
     }
     if arguments.dry_run {
         return dry_run(arguments, &wanted, &standings, terminal);
@@ -124,13 +153,12 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     let mut end = Done::Well;
     let (mut open, mut made) = (Vec::new(), Vec::new());
     for (wanted, standing) in wanted.iter().zip(standings) {
-        match standing {
-            Standing::Finished(record, now) => {
-                made.extend(now.then_some(wanted.cell));
-                records.insert(wanted.cell.name.to_owned(), *record);
-            }
-            _ if wanted.train => open.push(wanted),
-            _ => {}
+        if let Some(record) = &standing.record {
+            made.extend(standing.made.then_some(wanted.cell));
+            records.insert(wanted.cell.name.to_owned(), record.clone());
+        }
+        if wanted.train && !standing.missing.is_empty() {
+            open.push((wanted, standing));
         }
     }
     if !open.is_empty() {
@@ -139,18 +167,20 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     let remote = if open.is_empty() { None } else { arguments.pace.remote(terminal)? };
     let manner = arguments.manner(&folder, remote);
     let count = open.len();
-    for (number, wanted) in (1..).zip(open) {
-        let setup = format!("{}, {}", wanted.plan.config, seeds_words(&wanted.plan.seeds));
+    for (number, (wanted, standing)) in (1..).zip(open) {
+        let setup = format!("{}, {}", wanted.plan.config, seeds_words(&standing.missing));
         terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
         let ended = match wanted.cell.extent(arguments.quick) {
-            None => folder.train(wanted, &manner, terminal),
+            None => folder.train(wanted, &standing, arguments.quick, &manner, terminal),
             Some(_) => folder.measure(wanted, arguments.quick, &manner),
         };
         match ended {
-            Ok(Some(record)) => drop(records.insert(wanted.cell.name.to_owned(), record)),
-            Ok(None) => {
-                end = Done::Interrupted;
-                break;
+            Ok((record, finished)) => {
+                records.extend(record.map(|record| (wanted.cell.name.to_owned(), record)));
+                if !finished {
+                    end = Done::Interrupted;
+                    break;
+                }
             }
             // The others do not depend on it, and its claims stay unmeasured.
             Err(error) if matches!(error.downcast_ref(), Some(RunsError::Diverged { .. })) => {
@@ -160,7 +190,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
             Err(error) => return Err(error),
         }
     }
-    let results = judge(&experiments, &records, arguments.quick);
+    let results = judge(&experiments, &records, arguments.quick, arguments.seeds.as_deref());
     for cell in made {
         folder.keep(&records[cell.name], cell)?;
     }
@@ -171,6 +201,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
         let color = |verdict: Verdict| match verdict {
             Verdict::Holds => 32,
             Verdict::DoesNotHold => 31,
+            Verdict::Unfinished => 33,
             Verdict::NotMeasured => 2,
         };
         let text = results.text(&|verdict, words| terminal.paint(color(verdict), words));
@@ -216,11 +247,7 @@ impl ReproduceArgs {
             usage!("--only: {}", expected_one_of(name, &names));
         }
         let wanted = cells.into_iter().map(|cell| {
-            let seeds = match &self.seeds {
-                Some(seeds) if cell.repeats.is_none() => seeds.clone(),
-                Some(seeds) => seeds[..1].to_vec(),
-                None => cell.seeds(self.quick),
-            };
+            let seeds = cell.planned(self.quick, self.seeds.as_deref());
             let train = !self.evaluate && (self.only.is_empty() || self.only.iter().any(|name| name == cell.name));
             Ok(Wanted { cell, plan: cell.plan(self.quick, &seeds)?, train })
         });
@@ -279,88 +306,102 @@ impl Folder {
         self.run(cell).path().join("spread.json")
     }
 
-    /// How a cell stands here. Changes nothing.
-    fn standing(&self, wanted: &Wanted) -> anyhow::Result<Standing> {
+    /// How a cell stands here, with what is `lent`. Changes nothing.
+    fn standing(&self, wanted: &Wanted, lent: Option<(Record, bool)>) -> anyhow::Result<Standing> {
         let (cell, record) = (wanted.cell, self.record(wanted.cell));
         if cell.repeats.is_some() {
-            if record.exists() {
-                let found = Record::read(&record)?;
-                self.same(wanted, &record, &found.config, found.seeds(), None)?;
-                return Ok(Standing::Finished(Box::new(found), false));
+            let own = if record.exists() { Some((Record::read(&record)?, false)) } else { None };
+            if let Some((own, _)) = &own {
+                self.same(wanted, &record, &own.config, own.seeds(), &[], None)?;
             }
-            return Ok(if self.begun(cell).exists() { Standing::Begun } else { Standing::Open });
+            let lent = lent.filter(|_| own.is_none());
+            return Ok(Standing::new(wanted, own, lent, self.begun(cell).exists()));
         }
         let run = self.run(cell);
         if !run.exists() {
-            return Ok(Standing::Open);
+            return Ok(Standing::new(wanted, None, lent, false));
         }
         let plan = Plan::read(&run)?;
-        self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, Some(&plan.learners))?;
+        let elsewhere = lent.as_ref().map_or(&[][..], |(lent, _)| lent.seeds());
+        self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, elsewhere, Some(&plan.learners))?;
         let manifest = match Manifest::read(&run) {
             Ok(manifest) => manifest,
             // Killed between its first two files.
-            Err(RunsError::Io { .. }) => return Ok(Standing::Begun),
+            Err(RunsError::Io { .. }) => return Ok(Standing::new(wanted, None, lent, true)),
             Err(error) => return Err(error.into()),
         };
         if !manifest.is_intact() {
             return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
         }
-        if manifest.state != State::Finished {
-            return Ok(Standing::Begun);
-        }
-        // A record of this very state spares reading the run; one that cannot be read is made again.
-        if let Ok(found) = Record::read(&record)
-            && found.seal == manifest.seal
-            && found.cell == cell.name
-        {
-            return Ok(Standing::Finished(Box::new(found), false));
-        }
-        let record = Record::of_run(cell.name, &RunSet::read(run.path())?, &manifest);
-        Ok(Standing::Finished(Box::new(record), true))
+        // A record of this very state spares reading the run; one that cannot be read is made again, and so is that of a
+        // run that goes on.
+        let finished = manifest.state == State::Finished;
+        let own = match Record::read(&record) {
+            Ok(found) if finished && found.seal == manifest.seal && found.cell == cell.name => Some((found, false)),
+            _ => self.own(cell, &manifest)?.map(|record| (record, true)),
+        };
+        Ok(Standing::new(wanted, own, lent, true))
     }
 
-    /// What is here has to be what is wanted.
+    /// The record of the finished seeds of a cell's run; none before the first one.
+    fn own(&self, cell: &Cell, manifest: &Manifest) -> anyhow::Result<Option<Record>> {
+        finished_seeds(cell, self.run(cell).path(), manifest)
+    }
+
+    /// What is here has to be what is wanted, or what was still missing of it when there were seeds `elsewhere`.
     fn same(
         &self,
         wanted: &Wanted,
         place: &Path,
         config: &str,
         seeds: &[u64],
+        elsewhere: &[u64],
         learners: Option<&[Learner]>,
     ) -> anyhow::Result<()> {
         let (place, plan) = (place.display(), &wanted.plan);
-        let advice = "give the same --seeds and --quick as before, or choose another folder with -o";
-        if seeds != plan.seeds {
+        let advice = "give the same --seeds, --quick and --from as before, or choose another folder with -o";
+        let enough = plan.seeds.iter().all(|seed| seeds.contains(seed) || elsewhere.contains(seed));
+        if !enough || seeds.iter().any(|seed| !plan.seeds.contains(seed)) {
             usage!("{place} is of {}, not of {}: {advice}", seeds_words(seeds), seeds_words(&plan.seeds));
         }
-        if config != plan.config.to_string() || learners.is_some_and(|learners| learners != plan.learners) {
+        let setting = plan.config.with_seed(seeds.first().copied().unwrap_or(plan.config.seed));
+        if config != setting.to_string() || learners.is_some_and(|learners| learners != plan.learners) {
             usage!("{place} is of another setting than the one wanted ({}): {advice}", plan.config);
         }
         Ok(())
     }
 
-    /// Trains a cell to its end; none if stopped.
-    fn train(&self, wanted: &Wanted, manner: &Manner, terminal: &Terminal) -> anyhow::Result<Option<Record>> {
-        let run = self.run(wanted.cell);
+    /// Trains what is missing of a cell. The record of all seeds that are finished by then, and whether nothing stopped it.
+    fn train(
+        &self,
+        wanted: &Wanted,
+        standing: &Standing,
+        quick: bool,
+        manner: &Manner,
+        terminal: &Terminal,
+    ) -> anyhow::Result<(Option<Record>, bool)> {
+        let (run, cell) = (self.run(wanted.cell), wanted.cell);
+        let elsewhere = standing.lent.as_ref().map_or(&[][..], Record::seeds);
         let session = if run.exists() {
             Session::resume(run.clone(), |plan| {
-                self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, Some(&plan.learners))
+                self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, elsewhere, Some(&plan.learners))
             })?
         } else {
-            Session::begin(run.clone(), wanted.plan.clone(), false)?
+            Session::begin(run.clone(), cell.plan(quick, &standing.missing)?, false)?
         };
-        match session.work(manner, terminal)? {
-            Ended::Interrupted(_) => Ok(None),
-            Ended::Finished { set, .. } => {
-                let record = Record::of_run(wanted.cell.name, &set, &Manifest::read(&run)?);
-                self.keep(&record, wanted.cell)?;
-                Ok(Some(record))
-            }
+        let (own, finished) = match session.work(manner, terminal)? {
+            Ended::Interrupted(_) => (self.own(cell, &Manifest::read(&run)?)?, false),
+            Ended::Finished { set, .. } => (Some(Record::of_run(cell.name, &set, &Manifest::read(&run)?)), true),
+        };
+        let record = joined(own, standing.lent.as_ref());
+        if let Some(record) = &record {
+            self.keep(record, cell)?;
         }
+        Ok((record, finished))
     }
 
-    /// Measures the spread of a cell's checks; none if stopped.
-    fn measure(&self, wanted: &Wanted, quick: bool, manner: &Manner) -> anyhow::Result<Option<Record>> {
+    /// Measures the spread of a cell's checks. Its record, if nothing stopped it, and whether nothing did.
+    fn measure(&self, wanted: &Wanted, quick: bool, manner: &Manner) -> anyhow::Result<(Option<Record>, bool)> {
         let (cell, config) = (wanted.cell, &wanted.plan.config);
         let run = self.run(cell);
         fs::create_dir_all(run.path()).map_err(RunsError::io("create the folder", run.path()))?;
@@ -372,7 +413,7 @@ impl Folder {
             let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
             begun = serde_json::from_slice(&text)
                 .map_err(|error| RunsError::damaged(&path, format!("is no measurement of mcvl: {error}")))?;
-            self.same(wanted, &path, &begun.config, &[begun.spread.seed], None)?;
+            self.same(wanted, &path, &begun.config, &[begun.spread.seed], &[], None)?;
         }
         let extent = cell.extent(quick).expect("only cells with repeats are measured");
         let control = manner.control();
@@ -385,13 +426,13 @@ impl Folder {
         let mut spread = begun.spread;
         let done = Measurement::new(config, extent).go_on(&mut spread, manner.threads, &|| control.stopped(), save)?;
         if !done {
-            return Ok(None);
+            return Ok((None, false));
         }
         let mut manifest = Manifest::begin();
         manifest.add_time(Duration::from_millis(trained()));
         let record = Record::of_spread(cell.name, &config.to_string(), spread, &manifest);
         self.keep(&record, cell)?;
-        Ok(Some(record))
+        Ok((Some(record), true))
     }
 
     fn keep(&self, record: &Record, cell: &Cell) -> anyhow::Result<()> {
@@ -429,7 +470,7 @@ impl Folder {
             written.push(path.display().to_string());
         }
         if let Some(path) = &arguments.bands {
-            write_atomic(path, bands(records).as_bytes())?;
+            write_atomic(path, bands(records, arguments.quick).as_bytes())?;
             written.push(path.display().to_string());
         }
         for drawing in DRAWINGS {
@@ -459,8 +500,8 @@ impl Folder {
     }
 }
 
-/// Records of cells that are finished elsewhere, by the cells' names, and whether each was made just now, from
-/// a run: of several the one with most seeds.
+/// Records of seeds that are finished elsewhere, by the cells' names, and whether a part of each was made just now, from
+/// a run: several are joined; where that cannot be, the one with most seeds counts.
 fn lent(
     folders: &[PathBuf],
     wanted: &[Wanted],
@@ -481,10 +522,12 @@ fn lent(
         places.sort_by_key(|place| place.is_dir());
         for place in places {
             let Some((cell, record)) = lend(&place, wanted, arguments, terminal)? else { continue };
-            let more = |(known, _): &(Record, bool)| record.seeds().len() > known.seeds().len();
-            if best.get(cell.name).is_none_or(more) {
-                best.insert(cell.name, (Record { cell: cell.name.to_owned(), ..record }, place.is_dir()));
-            }
+            let record = Record { cell: cell.name.to_owned(), ..record };
+            let (known, made) = best.remove(cell.name).unzip();
+            let before = known.as_ref().map_or(0, |known: &Record| known.seeds().len());
+            let both = joined(known, Some(&record)).expect("one of them is there");
+            let more = both.seeds().len() > before;
+            best.insert(cell.name, (both, made.unwrap_or(false) || more && place.is_dir()));
         }
     }
     Ok(best)
@@ -519,8 +562,7 @@ fn lend(
     arguments: &ReproduceArgs,
     terminal: &Terminal,
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
-    // Whose seeds were asked for by name is content with no others.
-    let fits = |config: &Config, seeds: &[u64], spread: bool, has: &dyn Fn(Learner) -> bool| {
+    let fits = |config: &Config, spread: bool, has: &dyn Fn(Learner) -> bool| {
         // The simulators agree to far below what a policy does: either stands for the other.
         let bare =
             |config: &Config| Config { physics: Simulator::ClosedForm, ..config.with_seed(0).with_agent(Learner::Mc) };
@@ -528,33 +570,47 @@ fn lend(
             bare(&wanted.plan.config) == bare(config)
                 && wanted.cell.repeats.is_some() == spread
                 && (spread || wanted.cell.learners.iter().all(|learner| has(*learner)))
-                && (arguments.seeds.is_none() || wanted.plan.seeds == seeds)
         };
-        wanted.iter().find(same).map(|wanted| wanted.cell)
+        wanted.iter().find(same)
+    };
+    // Who asks for seeds by name gets no others.
+    let asked = |wanted: &Wanted, record: Record| match &arguments.seeds {
+        Some(_) if wanted.plan.seeds != record.seeds() => record.only(&wanted.plan.seeds),
+        _ => Some(record),
     };
     if !place.is_dir() {
         let record = Record::read(place)?;
         let config: Config = record.config.parse().map_err(|error| RunsError::damaged(place, format!("{error}")))?;
         let has = |learner: Learner| record.arms.iter().any(|leg| leg.arm == Arm::of(learner));
-        return Ok(fits(&config, record.seeds(), record.spread.is_some(), &has).map(|cell| (cell, record)));
+        let wanted = fits(&config, record.spread.is_some(), &has);
+        return Ok(wanted.and_then(|wanted| Some((wanted.cell, asked(wanted, record)?))));
     }
     let run = RunDir::new(place);
     let plan = Plan::read(&run)?;
     let has = |learner: Learner| plan.learners.contains(&learner);
-    let Some(cell) = fits(&plan.config, &plan.seeds, false, &has) else { return Ok(None) };
+    let Some(wanted) = fits(&plan.config, false, &has) else { return Ok(None) };
     let manifest = Manifest::read(&run)?;
     if !manifest.is_intact() {
         return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
     }
-    if manifest.state != State::Finished {
-        terminal.note(format_args!("note: {} is not finished and is left out", place.display()));
-        return Ok(None);
-    }
     // Kept summaries without the logs of their seeds have nothing to read; their records speak for them.
-    if !plan.seeds.iter().all(|seed| run.seed(*seed).metrics().exists()) {
+    if manifest.state == State::Finished && !plan.seeds.iter().all(|seed| run.seed(*seed).metrics().exists()) {
         return Ok(None);
     }
-    Ok(Some((cell, Record::of_run(cell.name, &RunSet::read(place)?, &manifest))))
+    let record = finished_seeds(wanted.cell, place, &manifest)?;
+    if manifest.state != State::Finished {
+        let seeds = record.as_ref().map_or("none of its seeds is".to_owned(), |record| {
+            format!("{} of its {}", record.seeds().len(), plural(plan.seeds.len() as u64, "seed"))
+        });
+        terminal.note(format_args!("note: {} is not finished: {seeds} used", place.display()));
+    }
+    Ok(record.and_then(|record| Some((wanted.cell, asked(wanted, record)?))))
+}
+
+/// The record of the finished seeds of a run; none before the first one.
+fn finished_seeds(cell: &Cell, run: &Path, manifest: &Manifest) -> anyhow::Result<Option<Record>> {
+    let record = Record::of_run(cell.name, &RunSet::read(run)?, manifest);
+    Ok((!record.seeds().is_empty()).then_some(record))
 }
 
 /// Shows what would be done.
@@ -573,19 +629,19 @@ fn dry_run(
     writeln!(terminal.out, "{}", row("cell", "seeds", "expected", "configuration"))?;
     for (wanted, standing) in wanted.iter().zip(standings) {
         let plan = &wanted.plan;
-        let (seeds, expected) = match standing {
-            Standing::Finished(record, _) => {
+        let (seeds, expected) = match &standing.record {
+            Some(record) if standing.missing.is_empty() => {
                 done += 1;
                 (seed_list(record.seeds()), "done".to_owned())
             }
-            _ if !wanted.train => (seed_list(&plan.seeds), "left out".to_owned()),
-            other => {
+            _ if !wanted.train => (seed_list(&standing.missing), "left out".to_owned()),
+            _ => {
                 // Cells of a world differ in many ways, but hardly in their speed.
                 let speed = *speeds.entry(&plan.config.env).or_insert_with(|| Speed::measure(&plan.config));
-                let seconds = expected_seconds(wanted, arguments, speed);
+                let seconds = expected_seconds(wanted, &standing.missing, arguments, speed);
                 total += seconds;
-                let begun = if matches!(other, Standing::Begun) { ", begun" } else { "" };
-                (seed_list(&plan.seeds), format!("{}{begun}", rough(seconds)))
+                let begun = if standing.begun { ", begun" } else { "" };
+                (seed_list(&standing.missing), format!("{}{begun}", rough(seconds)))
             }
         };
         writeln!(terminal.out, "{}", row(wanted.cell.name, &seeds, &expected, wanted.cell.config))?;
@@ -601,11 +657,11 @@ fn dry_run(
     Ok(Done::Well)
 }
 
-/// Seconds that a cell is expected to take.
-fn expected_seconds(wanted: &Wanted, arguments: &ReproduceArgs, speed: Speed) -> f64 {
+/// Seconds that some seeds of a cell are expected to take.
+fn expected_seconds(wanted: &Wanted, seeds: &[u64], arguments: &ReproduceArgs, speed: Speed) -> f64 {
     let (plan, threads) = (&wanted.plan, arguments.pace.threads());
     let Some(extent) = wanted.cell.extent(arguments.quick) else {
-        return speed.seconds(plan) * plan.seeds.len().div_ceil(threads) as f64;
+        return speed.seconds(plan) * seeds.len().div_ceil(threads) as f64;
     };
     let repeats = f64::from(extent.checks * extent.repeats * 2);
     let forecasts = repeats * 2.0 * f64::from(plan.config.forecast) / threads as f64;

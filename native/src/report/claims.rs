@@ -5,6 +5,7 @@
 
 use std::fmt::Write as _;
 
+use mcvl_core::config::Config;
 use mcvl_core::experiment::{Experiment, Optima};
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
@@ -53,6 +54,14 @@ pub struct ArmSummary {
 }
 
 impl ArmSummary {
+    /// A leg by its seeds' ends; `None` of nothing.
+    fn of(arm: Arm, seeds: Vec<SeedEnd>) -> Option<Self> {
+        let over = |value: fn(&SeedEnd) -> f64| estimate(&seeds.iter().map(value).collect::<Vec<_>>());
+        let observed_return = over(|seed| seed.observed_return)?;
+        let performance = over(|seed| seed.performance)?;
+        Some(Self { arm, observed_return, performance, seeds })
+    }
+
     /// Seeds that were hacked.
     pub fn hacked(&self) -> usize {
         self.seeds.iter().filter(|seed| seed.hacked()).count()
@@ -170,18 +179,49 @@ impl Summary {
     /// Summary of a run directory.
     pub fn new(set: &RunSet) -> Self {
         let arms: Vec<ArmSummary> = Arm::ALL.into_iter().filter_map(|arm| arm_summary(set, arm)).collect();
-        let experiment = set.config.experiment();
         let unfinished = set.seeds.iter().filter(|seed| !seed.complete).map(|seed| seed.seed).collect();
         Self {
-            config: set.config.to_string(),
-            title: experiment.title.to_owned(),
-            variant: set.config.variant.clone(),
-            seeds: set.seeds.iter().map(|seed| seed.seed).collect(),
             unfinished,
             verdicts: set.seeds.iter().filter_map(Verdicts::of_seed).reduce(Verdicts::plus),
-            claims: claims(experiment, set.config.optima(), &arms),
+            ..Self::of_ends(&set.config, set.seeds.iter().map(|seed| seed.seed).collect(), arms)
+        }
+    }
+
+    /// Summary of finished seeds by where each of them ends.
+    fn of_ends(config: &Config, seeds: Vec<u64>, arms: Vec<ArmSummary>) -> Self {
+        let experiment = config.experiment();
+        let checked = arms.iter().filter(|leg| leg.arm == Arm::Mc).flat_map(|leg| &leg.seeds);
+        Self {
+            config: config.to_string(),
+            title: experiment.title.to_owned(),
+            variant: config.variant.clone(),
+            seeds,
+            unfinished: Vec::new(),
+            verdicts: checked.filter_map(|seed| seed.verdicts).reduce(Verdicts::plus),
+            claims: claims(experiment, config.optima(), &arms),
             arms,
         }
+    }
+
+    /// Summary of some finished seeds of this one, and of some of another one of the same setting. Seeds that neither has
+    /// are left out. `config` is the setting.
+    pub fn joined(&self, other: &Self, config: &Config, mine: &[u64], theirs: &[u64]) -> Self {
+        let ends = |summary: &Self, arm: Arm, seeds: &[u64]| {
+            let leg = summary.arm(arm).map_or(Vec::new(), |leg| leg.seeds.clone());
+            leg.into_iter().filter(|end| seeds.contains(&end.seed)).collect::<Vec<_>>()
+        };
+        let arms = Arm::ALL.into_iter().filter_map(|arm| {
+            let mut seeds = ends(self, arm, mine);
+            seeds.extend(ends(other, arm, theirs));
+            seeds.sort_by_key(|end| end.seed);
+            ArmSummary::of(arm, seeds)
+        });
+        let arms: Vec<ArmSummary> = arms.collect();
+        let mut seeds: Vec<u64> = [mine, theirs].concat();
+        seeds.retain(|seed| arms.iter().any(|leg| leg.seeds.iter().any(|end| end.seed == *seed)));
+        seeds.sort_unstable();
+        seeds.dedup();
+        Self::of_ends(config, seeds, arms)
     }
 
     /// The leg of this name, if a seed finished it.
@@ -280,11 +320,7 @@ pub fn percent(share: Option<f64>) -> String {
 fn arm_summary(set: &RunSet, arm: Arm) -> Option<ArmSummary> {
     let tolerance = set.config.experiment().tolerance;
     let finished = set.seeds.iter().filter(|seed| statistics::finished(seed, arm));
-    let seeds: Vec<SeedEnd> = finished.filter_map(|seed| seed_end(seed, arm, tolerance)).collect();
-    let over = |value: fn(&SeedEnd) -> f64| estimate(&seeds.iter().map(value).collect::<Vec<_>>());
-    let observed_return = over(|seed| seed.observed_return)?;
-    let performance = over(|seed| seed.performance)?;
-    Some(ArmSummary { arm, observed_return, performance, seeds })
+    ArmSummary::of(arm, finished.filter_map(|seed| seed_end(seed, arm, tolerance)).collect())
 }
 
 fn seed_end(seed: &SeedRun, arm: Arm, tolerance: f64) -> Option<SeedEnd> {

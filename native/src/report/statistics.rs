@@ -16,7 +16,7 @@ const RESAMPLES: usize = 1000;
 /// Share of the resampled means that lies below an interval, and above it.
 const TAIL: f64 = 0.025;
 /// Evaluation points behind an end value.
-const END_POINTS: usize = 5;
+pub(crate) const END_POINTS: usize = 5;
 
 /// What an evaluation measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,11 +101,15 @@ pub fn estimate(values: &[f64]) -> Option<Estimate> {
 
 /// The curve of a leg over seeds, by step. A step counts the seeds that were evaluated at it.
 pub fn curve(seeds: &[SeedRun], arm: Arm, quantity: Quantity) -> Vec<CurvePoint> {
+    let points = seeds.iter().flat_map(|seed| evaluations(seed, arm));
+    curve_of(points.map(|point| (point.step, quantity.of(point))))
+}
+
+/// The curve over points (step and value) of several seeds, one seed after the other.
+pub fn curve_of(points: impl IntoIterator<Item = (u32, f64)>) -> Vec<CurvePoint> {
     let mut steps: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
-    for seed in seeds {
-        for point in evaluations(seed, arm) {
-            steps.entry(point.step).or_default().push(quantity.of(point));
-        }
+    for (step, value) in points {
+        steps.entry(step).or_default().push(value);
     }
     let points = steps.iter();
     points.filter_map(|(&step, values)| Some(CurvePoint { step, estimate: estimate(values)? })).collect()
@@ -127,7 +131,8 @@ pub fn finished(seed: &SeedRun, arm: Arm) -> bool {
     seed.ends.iter().any(|end| end.arm == arm)
 }
 
-fn evaluations(seed: &SeedRun, arm: Arm) -> impl Iterator<Item = &EvaluationRecord> {
+/// Evaluation points of a leg, by step.
+pub(crate) fn evaluations(seed: &SeedRun, arm: Arm) -> impl Iterator<Item = &EvaluationRecord> {
     seed.evaluations.iter().filter(move |point| point.arm == arm)
 }
 

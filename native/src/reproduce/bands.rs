@@ -6,6 +6,7 @@ use mcvl_core::record::Arm;
 use serde::Serialize;
 
 use super::record::Record;
+use super::table;
 
 /// What the page names: a cell, one of its legs, and its title.
 const ENTRIES: &[(&str, Arm, &str)] = &[
@@ -51,11 +52,17 @@ struct Entry<'a> {
     performance: Vec<[f64; 2]>,
 }
 
-/// The entries of every world that has some, as JSON: the world's name, and a list.
-pub fn bands(records: &BTreeMap<String, Record>) -> String {
+/// The entries of every world that has some, as JSON: the world's name, and a list. A cell with some of its seeds is left
+/// out: those that finish first are not like the others.
+pub fn bands(records: &BTreeMap<String, Record>, quick: bool) -> String {
+    let planned = |name: &str| table::cells().into_iter().find(|cell| cell.name == name).map(|cell| cell.seeds(quick));
     let mut worlds: BTreeMap<&str, Vec<Entry<'_>>> = BTreeMap::new();
     for (cell, arm, title) in ENTRIES {
         let Some(record) = records.get(*cell) else { continue };
+        let whole = |seeds: Vec<u64>| seeds.iter().all(|seed| record.seeds().contains(seed));
+        if !planned(cell).is_some_and(whole) {
+            continue;
+        }
         let world = record.config.split([' ', '=']).nth(1).unwrap_or_default();
         worlds.entry(world).or_default().extend(Entry::of(record, *arm, title));
     }
@@ -94,7 +101,8 @@ fn rounded(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reproduce::table;
+    use crate::report::samples;
+    use crate::runs::Manifest;
 
     #[test]
     fn every_entry_is_a_leg_of_a_cell() {
@@ -102,5 +110,14 @@ mod tests {
             let cell = table::cells().into_iter().find(|cell| cell.name == *name).expect("a cell of the table");
             assert!(cell.learners.iter().any(|learner| Arm::of(*learner) == *arm), "{name} {arm:?}");
         }
+    }
+
+    #[test]
+    fn a_cell_with_some_of_its_seeds_is_left_out() {
+        let whole = Record::of_run("box", &samples::ten(), &Manifest::begin());
+        let part = whole.only(&[0, 1, 2, 3]).unwrap();
+        let of = |record: &Record, quick: bool| bands(&[("box".to_owned(), record.clone())].into(), quick);
+        assert_eq!(of(&part, false), "{}\n");
+        assert!(of(&whole, false).contains("\"seeds\":10") && of(&part, true).contains("\"seeds\":4"));
     }
 }

@@ -8,6 +8,7 @@
 pub mod bands;
 mod checks;
 pub mod figures;
+mod join;
 mod page;
 mod record;
 mod rows;
@@ -15,5 +16,5 @@ pub mod spread;
 pub mod table;
 
 pub use page::{BEGIN, END, markdown, put};
-pub use record::{ArmRecord, Curve, RECORD_SUFFIX, Record};
+pub use record::{ArmRecord, Curve, RECORD_SUFFIX, Record, SeedLeg};
 pub use rows::{Cost, Number, QUICK, Results, Row, Verdict, WorldRow, judge};

@@ -1,4 +1,4 @@
-//! A finished cell in one file: all that claims and figures read, small enough to be kept and passed on.
+//! The finished seeds of a cell in one file: all that claims and figures read, small enough to be kept and passed on.
 
 use std::fs;
 use std::path::Path;
@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::spread::Spread;
 use crate::report::claims::Summary;
-use crate::report::statistics::{self, Estimate, Quantity, mean};
-use crate::runs::{Manifest, RunSet, RunsError, write_atomic};
+use crate::report::statistics::{self, END_POINTS, Estimate, Quantity, mean};
+use crate::runs::{Manifest, RunSet, RunsError, SeedRun, write_atomic};
 
 /// First field of every record.
 const FORMAT: &str = "mcvl record";
@@ -18,10 +18,8 @@ const FORMAT: &str = "mcvl record";
 const VERSION: u32 = 1;
 /// Ending of the names of records.
 pub const RECORD_SUFFIX: &str = ".record.json";
-/// Points behind a value at the end of a leg.
-const END_POINTS: usize = 5;
 
-/// A finished cell.
+/// The finished seeds of a cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Always `mcvl record`.
@@ -42,7 +40,7 @@ pub struct Record {
     pub cores: usize,
     /// Wall time of training, milliseconds, where known.
     pub trained_ms: Option<u64>,
-    /// Seal of the run's manifest: a record of another state of the run has another one.
+    /// Seal of the run's manifest: a record of another state of the run has another one. Of several runs, all of them.
     pub seal: String,
     /// Where each learner ends, the decisions, seed by seed; none where the cell measures spread.
     pub summary: Option<Summary>,
@@ -64,6 +62,22 @@ pub struct ArmRecord {
     pub dead_units: Option<f64>,
     /// Evaluation points, by step.
     pub curve: Vec<Curve>,
+    /// Seed by seed, ascending; empty in records that earlier versions wrote, which cannot be joined.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seeds: Vec<SeedLeg>,
+}
+
+/// A leg of one seed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeedLeg {
+    /// The seed.
+    pub seed: u64,
+    /// Gradient updates in this leg.
+    pub updates: u64,
+    /// Share of dead units, as in [`ArmRecord`].
+    pub dead_units: Option<f64>,
+    /// Evaluation points by step: step, observed return and performance, raw, rounded to four decimals.
+    pub points: Vec<(u32, f64, f64)>,
 }
 
 /// An evaluation point over seeds, raw units, rounded to four decimals.
@@ -91,10 +105,12 @@ impl Curve {
 }
 
 impl Record {
-    /// The record of a finished run.
+    /// The record of the finished seeds of a run.
     pub fn of_run(cell: &str, set: &RunSet, manifest: &Manifest) -> Self {
-        let arms = Arm::ALL.into_iter().filter_map(|arm| ArmRecord::of(set, arm)).collect();
-        Self { summary: Some(Summary::new(set)), arms, ..Self::bare(cell, &set.config.to_string(), manifest) }
+        let finished = set.seeds.iter().filter(|seed| seed.complete).cloned().collect();
+        let set = RunSet { path: set.path.clone(), config: set.config.clone(), seeds: finished };
+        let arms = Arm::ALL.into_iter().filter_map(|arm| ArmRecord::of(&set, arm)).collect();
+        Self { summary: Some(Summary::new(&set)), arms, ..Self::bare(cell, &set.config.to_string(), manifest) }
     }
 
     /// The record of a measurement of spread.
@@ -191,10 +207,15 @@ impl Record {
 
 impl ArmRecord {
     fn of(set: &RunSet, arm: Arm) -> Option<Self> {
-        let rounded = |value: f64| (value * 1e4).round() / 1e4;
+        Self::over(arm, set.seeds.iter().filter_map(|seed| SeedLeg::of(seed, arm)).collect())
+    }
+
+    /// A leg by its seeds, ascending; none without any.
+    pub(super) fn over(arm: Arm, seeds: Vec<SeedLeg>) -> Option<Self> {
         let three = |e: &Estimate| [rounded(e.mean), rounded(e.low), rounded(e.high)];
-        let performance = statistics::curve(&set.seeds, arm, Quantity::Performance);
-        let curve: Vec<Curve> = statistics::curve(&set.seeds, arm, Quantity::Return)
+        let points = || seeds.iter().flat_map(|seed| &seed.points);
+        let performance = statistics::curve_of(points().map(|(step, _, value)| (*step, *value)));
+        let curve: Vec<Curve> = statistics::curve_of(points().map(|(step, value, _)| (*step, *value)))
             .iter()
             .zip(&performance)
             .map(|(observed, performance)| Curve {
@@ -204,19 +225,30 @@ impl ArmRecord {
                 seeds: observed.estimate.count,
             })
             .collect();
-        let mut updates = 0;
-        let mut dead = Vec::new();
-        for seed in &set.seeds {
-            let made = |arm: Arm| seed.ends.iter().find(|end| end.arm == arm).map(|end| end.updates);
-            let before = if arm == Arm::Safe { 0 } else { made(Arm::Safe).unwrap_or(0) };
-            updates += made(arm).unwrap_or(before).saturating_sub(before);
-            // A point without an update of the reward model says 0 of it, which is no measurement.
-            let points = seed.learner.iter().filter(|point| point.arm == arm && point.reward_loss > 0.0);
-            let points: Vec<f64> = points.map(|point| point.dead_units).collect();
-            dead.extend(mean(&points[points.len().saturating_sub(END_POINTS)..]));
-        }
-        (!curve.is_empty()).then(|| Self { arm, updates, dead_units: mean(&dead), curve })
+        let updates = seeds.iter().map(|seed| seed.updates).sum();
+        let dead: Vec<f64> = seeds.iter().filter_map(|seed| seed.dead_units).collect();
+        (!curve.is_empty()).then(|| Self { arm, updates, dead_units: mean(&dead), curve, seeds })
     }
+}
+
+impl SeedLeg {
+    /// The leg of a seed; none if it has no such leg.
+    fn of(seed: &SeedRun, arm: Arm) -> Option<Self> {
+        let points = statistics::evaluations(seed, arm);
+        let points: Vec<_> = points.map(|p| (p.step, rounded(p.observed_return), rounded(p.performance))).collect();
+        let made = |arm: Arm| seed.ends.iter().find(|end| end.arm == arm).map(|end| end.updates);
+        let before = if arm == Arm::Safe { 0 } else { made(Arm::Safe).unwrap_or(0) };
+        let updates = made(arm).unwrap_or(before).saturating_sub(before);
+        // A point without an update of the reward model says 0 of it, which is no measurement.
+        let dead = seed.learner.iter().filter(|point| point.arm == arm && point.reward_loss > 0.0);
+        let dead: Vec<f64> = dead.map(|point| point.dead_units).collect();
+        let dead_units = mean(&dead[dead.len().saturating_sub(END_POINTS)..]);
+        (!points.is_empty()).then_some(Self { seed: seed.seed, updates, dead_units, points })
+    }
+}
+
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
 }
 
 #[cfg(test)]

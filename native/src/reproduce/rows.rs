@@ -24,7 +24,9 @@ pub enum Verdict {
     Holds,
     /// Otherwise.
     DoesNotHold,
-    /// A cell that it needs is not finished.
+    /// Every cell that it needs has finished seeds, but not all that are planned.
+    Unfinished,
+    /// A cell that it needs has no finished seed.
     NotMeasured,
 }
 
@@ -34,6 +36,7 @@ impl Verdict {
         match self {
             Verdict::Holds => "holds",
             Verdict::DoesNotHold => "does not hold",
+            Verdict::Unfinished => "unfinished",
             Verdict::NotMeasured => "not measured",
         }
     }
@@ -153,7 +156,9 @@ pub struct Row {
     pub claim: String,
     /// How it came out.
     pub outcome: Verdict,
-    /// Finished cells.
+    /// Of an unfinished claim: whether it holds by the seeds that are finished.
+    pub so_far: Option<bool>,
+    /// Cells with finished seeds.
     pub done: usize,
     /// Cells that it needs.
     pub of: usize,
@@ -161,6 +166,8 @@ pub struct Row {
     pub setup: Vec<String>,
     /// Seeds of its cells: the fewest.
     pub seeds: usize,
+    /// ... and how many are planned there.
+    pub planned: usize,
     /// What it was judged by.
     pub numbers: Vec<Number>,
 }
@@ -169,9 +176,20 @@ impl Row {
     /// The outcome in words.
     pub fn outcome_words(&self) -> String {
         match self.outcome {
-            Verdict::NotMeasured => format!("not measured ({} of {} done)", self.done, plural(self.of as u64, "cell")),
+            Verdict::NotMeasured => format!("not measured ({})", self.progress()),
+            Verdict::Unfinished => format!("unfinished ({})", self.progress()),
             other => other.words().to_owned(),
         }
+    }
+
+    /// How far it is measured: «1 of 3 cells done», «4 of 10 seeds, so far it holds».
+    fn progress(&self) -> String {
+        let so_far = match self.so_far {
+            None => return format!("{} of {} done", self.done, plural(self.of as u64, "cell")),
+            Some(true) => "so far it holds",
+            Some(false) => "so far it does not hold",
+        };
+        format!("{} of {}, {so_far}", self.seeds, plural(self.planned as u64, "seed"))
     }
 
     /// The numbers in words.
@@ -238,14 +256,26 @@ pub struct Results {
     pub costs: Vec<Cost>,
 }
 
-/// Judges every claim of some experiments by the records there are, by the name of their cells.
-pub fn judge(experiments: &[&Experiment], records: &BTreeMap<String, Record>, quick: bool) -> Results {
+/// Judges every claim of some experiments by the records there are, by the name of their cells. `seeds` are those that
+/// were asked for; without any they are the cell's own.
+pub fn judge(
+    experiments: &[&Experiment],
+    records: &BTreeMap<String, Record>,
+    quick: bool,
+    seeds: Option<&[u64]>,
+) -> Results {
     let mut claims = Vec::new();
     for experiment in experiments {
         for claim in experiment.claims {
             let there: Vec<&Record> = claim.cells.iter().filter_map(|cell| records.get(cell.name)).collect();
-            let complete = there.len() == claim.cells.len();
-            let judged = complete.then(|| (claim.check)(&Evidence(records)));
+            let judged = (there.len() == claim.cells.len()).then(|| (claim.check)(&Evidence(records)));
+            // Of its cells the one that is farthest from its planned seeds.
+            let planned = claim.cells.iter().filter_map(|cell| {
+                let (planned, made) = (cell.planned(quick, seeds), records.get(cell.name)?.seeds());
+                let missing = planned.iter().filter(|seed| !made.contains(seed)).count();
+                Some((missing, planned.len()))
+            });
+            let (missing, planned) = planned.max_by_key(|(missing, _)| *missing).unwrap_or_default();
             let setup = claim.cells.iter().filter_map(|cell| Some(cell.settings(quick).ok()?.to_string()));
             claims.push(Row {
                 experiment: experiment.id.to_owned(),
@@ -255,13 +285,16 @@ pub fn judge(experiments: &[&Experiment], records: &BTreeMap<String, Record>, qu
                 claim: claim.text.to_owned(),
                 outcome: match &judged {
                     None => Verdict::NotMeasured,
+                    Some(_) if missing > 0 => Verdict::Unfinished,
                     Some(judged) if judged.holds => Verdict::Holds,
                     Some(_) => Verdict::DoesNotHold,
                 },
+                so_far: judged.as_ref().filter(|_| missing > 0).map(|judged| judged.holds),
                 done: there.len(),
                 of: claim.cells.len(),
                 setup: setup.collect(),
                 seeds: there.iter().map(|record| record.seeds().len()).min().unwrap_or(0),
+                planned,
                 numbers: judged.map_or(Vec::new(), |judged| judged.numbers),
             });
         }
@@ -329,7 +362,12 @@ impl Results {
     pub fn headline(&self) -> String {
         let of = |outcome| self.count(outcome);
         let mut text = format!("{} of {} hold", of(Verdict::Holds), plural(self.claims.len() as u64, "claim"));
-        for (count, words) in [(of(Verdict::DoesNotHold), "not"), (of(Verdict::NotMeasured), "not measured")] {
+        let rest = [
+            (of(Verdict::DoesNotHold), "not"),
+            (of(Verdict::Unfinished), "unfinished"),
+            (of(Verdict::NotMeasured), "not measured"),
+        ];
+        for (count, words) in rest {
             match (count, words) {
                 (0, _) => {}
                 (count, "not") => text += &format!(", {count} {} not", if count == 1 { "does" } else { "do" }),
@@ -352,12 +390,14 @@ impl Results {
             let mark = match row.outcome {
                 Verdict::Holds => "HOLDS",
                 Verdict::DoesNotHold => "DOES NOT HOLD",
+                Verdict::Unfinished => "unfinished",
                 Verdict::NotMeasured => "not measured",
             };
             let lead = format!("  {mark:<15}");
             text += &wrapped(&lead, &row.claim, WIDTH).replacen(mark, &paint(row.outcome, mark), 1);
             let numbers = match row.outcome {
-                Verdict::NotMeasured => format!("{} of {} done", row.done, plural(row.of as u64, "cell")),
+                Verdict::NotMeasured => row.progress(),
+                Verdict::Unfinished => format!("{}: {}", row.progress(), row.numbers_words()),
                 _ => row.numbers_words(),
             };
             text += &wrapped(&" ".repeat(17), &numbers, WIDTH);
@@ -413,7 +453,8 @@ impl Results {
 
     /// Claims as CSV, one line each.
     pub fn claims_csv(&self) -> String {
-        let mut text = String::from("experiment,figure,title,claim,outcome,cells_done,cells,seeds,numbers,setup\n");
+        let mut text =
+            String::from("experiment,figure,title,claim,outcome,cells_done,cells,seeds,planned,numbers,setup\n");
         for row in &self.claims {
             let fields = [
                 &row.experiment,
@@ -424,6 +465,7 @@ impl Results {
                 &row.done.to_string(),
                 &row.of.to_string(),
                 &row.seeds.to_string(),
+                &row.planned.to_string(),
                 &row.numbers_words(),
                 &row.setup.join(" | "),
             ];
@@ -470,7 +512,7 @@ mod tests {
     fn results() -> Results {
         let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
         let records = [(BOX.name.to_owned(), record)].into();
-        judge(&table::find("E1"), &records, false)
+        judge(&table::find("E1"), &records, false, None)
     }
 
     #[test]
@@ -483,6 +525,25 @@ mod tests {
         assert!(!results.holds());
         assert_eq!(results.headline(), "2 of 4 claims hold, 1 does not, 1 is not measured.");
         assert_eq!((results.worlds.len(), results.worlds[0].world.as_str()), (1, "Box Moving"));
+    }
+
+    #[test]
+    fn a_claim_with_some_of_its_seeds_is_unfinished() {
+        let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
+        let of = |record: Record, seeds: Option<&[u64]>| {
+            judge(&table::find("E1"), &[(BOX.name.to_owned(), record)].into(), false, seeds)
+        };
+        let part = record.only(&[0, 3, 5]).unwrap();
+        let results = of(part.clone(), None);
+        let rows: Vec<_> = results.claims.iter().map(|row| (row.outcome, row.so_far, row.seeds, row.planned)).collect();
+        assert_eq!(rows[1], (Verdict::Unfinished, Some(true), 3, 10));
+        assert_eq!(rows[2], (Verdict::Unfinished, Some(false), 3, 10));
+        assert_eq!(results.claims[2].outcome_words(), "unfinished (3 of 10 seeds, so far it does not hold)");
+        assert_eq!(results.headline(), "0 of 4 claims hold, 3 are unfinished, 1 is not measured.");
+        assert!(results.text(&|_, words| words.to_owned()).contains("3 of 10 seeds, so far it holds: DDQN return"));
+        // Who asks for these seeds gets an answer, and who asks for others does not.
+        assert_eq!(of(part.clone(), Some(&[0, 3])).claims[1].outcome, Verdict::Holds);
+        assert_eq!(of(part, Some(&[0, 1])).claims[1].outcome, Verdict::Unfinished);
     }
 
     #[test]

@@ -111,6 +111,15 @@ impl Cell {
         (0..count).collect()
     }
 
+    /// Seeds that are to be trained: those asked for, else its own. A measurement of spread takes one.
+    pub fn planned(&self, quick: bool, asked: Option<&[u64]>) -> Vec<u64> {
+        match asked {
+            Some(seeds) if self.repeats.is_some() => seeds[..1].to_vec(),
+            Some(seeds) => seeds.to_vec(),
+            None => self.seeds(quick),
+        }
+    }
+
     /// Checks and repeats of a measurement of spread; fewer if quick.
     pub fn extent(&self, quick: bool) -> Option<Repeats> {
         let part = if quick { QUICK_REPEATS } else { 1 };

@@ -69,13 +69,66 @@ fn cells_are_trained_once_and_claims_judged() {
 
     // The records alone are enough elsewhere, and so are the runs.
     for (from, to) in [("set/records", "by-records"), ("set/cells", "by-runs")] {
-        ok(folder, &format!("reproduce E8 --evaluate --from {from} -o {to}"));
+        ok(folder, &format!("reproduce E8 --seeds 3 --evaluate --from {from} -o {to}"));
         for name in ["claims.csv", "numbers.csv", "fig5.svg"] {
             let read = |set: &str| fs::read_to_string(folder.join(set).join(name)).unwrap();
             assert_eq!(read(to), read("set"), "{name} {from}");
         }
     }
     assert!(!folder.join("by-records/records").exists() && folder.join("by-runs/records/box.record.json").is_file());
+}
+
+/// A cell that is trained in parts, in several folders, is the cell that is trained in one.
+#[test]
+fn parts_of_a_cell_are_joined() {
+    let folder = scratch();
+    let folder = folder.path();
+    let cell = "reproduce E7 --only box-safe-100";
+    ok(folder, &format!("{cell} --seeds 3,5 -o whole"));
+    ok(folder, &format!("{cell} --seeds 3 -o one"));
+    let rest = format!("{cell} --seeds 3,5 --from one/records -o other");
+    let said = ok(folder, &format!("{rest} --dry-run"));
+    assert!(said.lines().any(|line| line.starts_with("box-safe-100            5 ")), "{said}");
+    let said = ok(folder, &rest);
+    let run = folder.join("other/cells/box-safe-100");
+    assert!(run.join("seed-5").is_dir() && !run.join("seed-3").exists(), "what is there is not trained again");
+    let record = |set: &str| {
+        let path = folder.join(set).join("records/box-safe-100.record.json");
+        let mut record = json(&fs::read_to_string(path).unwrap());
+        // How long it took, and the seals of the runs.
+        ["trained_ms", "seal"].iter().for_each(|name| drop(record.as_object_mut().unwrap().remove(*name)));
+        record
+    };
+    assert_eq!(record("other"), record("whole"));
+    for name in ["claims.csv", "numbers.csv"] {
+        let read = |set: &str| fs::read_to_string(folder.join(set).join(name)).unwrap();
+        assert_eq!(read("other"), read("whole"), "{name}");
+    }
+    // Nothing is left to do, and what was trained for a part is not mistaken for the whole.
+    assert_eq!(ok(folder, &rest), said);
+    let answer = ask(folder, &format!("{cell} --seeds 3,5 -o other"));
+    assert_eq!(answer.code, 2, "{}", answer.stderr);
+    assert!(answer.stderr.contains("is of seed 5, not of seeds 3, 5: give the same --seeds, --quick and --from"));
+
+    // A claim with some of its seeds says so.
+    let said = ok(folder, "reproduce E7 --evaluate --from other/records -o all");
+    let row = said.split("100 steps: some seeds").nth(1).unwrap_or_else(|| panic!("{said}"));
+    assert!(said.contains("\n  unfinished ") && row.contains("2 of 10 seeds, so far it"), "{said}");
+}
+
+/// Of a run that is not finished, the seeds that are count.
+#[test]
+fn finished_seeds_of_a_run_that_goes_on_are_used() {
+    let folder = scratch();
+    let folder = folder.path();
+    let answer = ask(folder, "train box-moving --set scheme=discard --seeds 0..500 -j 1 --max-time 6s -o run");
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
+    let answer = ask(folder, "reproduce fig4a --evaluate --from run -o set");
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(answer.stderr.contains("is not finished: ") && answer.stderr.contains("of its 500 seeds used"));
+    let record = json(&fs::read_to_string(folder.join("set/records/box-discard.record.json")).unwrap());
+    let seeds = record["summary"]["seeds"].as_array().unwrap().len();
+    assert!((1..500).contains(&seeds) && record["summary"]["unfinished"] == json("[]"), "{seeds}");
 }
 
 #[test]
@@ -135,7 +188,7 @@ fn what_does_not_fit_is_said_and_left_alone() {
     let before = content(&folder.join("set"));
     let cell = folder.join("set/cells/box-forecast-100");
     fails("reproduce E8 --seeds 0..2 -o set", 2, "is of seed 3, not of seeds 0, 1");
-    fails("reproduce E8 --quick -o set", 2, "give the same --seeds and --quick as before");
+    fails("reproduce E8 --quick -o set", 2, "give the same --seeds, --quick and --from as before");
     assert_eq!(content(&folder.join("set")), before, "nothing was changed");
 
     // Half written, altered, of another version.
