@@ -84,7 +84,12 @@ impl Number {
 
     /// In words: «MC-DDQN performance 49.0 [49.0, 49.0]», «hacked 10 of 10».
     pub fn text(&self) -> String {
-        let decimals = if self.mean.abs() < 10.0 && self.mean.fract() != 0.0 { 2 } else { 1 };
+        // Two figures that count, however small it is.
+        let decimals = match self.mean.abs() {
+            mean if mean >= 10.0 || mean.fract() == 0.0 => 1,
+            mean if mean >= 0.1 => 2,
+            mean => (1.0 - mean.log10().floor()).min(8.0) as usize,
+        };
         match self.seen {
             Some(seen) => format!("{} {seen} of {}", self.name, self.count),
             None if self.low == self.high => format!("{} {:.decimals$}", self.name, self.mean),
@@ -578,6 +583,7 @@ mod tests {
         let text = |values: &[f64]| Number::of("n", values).unwrap().text();
         assert_eq!((text(&[49.0; 3]), text(&[0.25; 2])), ("n 49.0".to_owned(), "n 0.25".to_owned()));
         assert!(text(&[10.0, 30.0]).starts_with("n 20.0 ["));
+        assert_eq!((text(&[0.00213; 2]), text(&[-0.05; 2])), ("n 0.0021".to_owned(), "n -0.050".to_owned()));
         assert_eq!(Number::share("hacked", [true, false, true]).unwrap().text(), "hacked 2 of 3");
         assert_eq!(Number::of("n", &[]), None);
     }
