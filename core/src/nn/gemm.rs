@@ -92,7 +92,7 @@ pub(super) const fn lanes<L: Lanes>() -> usize {
 }
 
 #[inline(always)]
-fn load<L: Lanes, const VECTORS: usize>(from: &[f32]) -> [L::Vector; VECTORS] {
+pub(super) fn load<L: Lanes, const VECTORS: usize>(from: &[f32]) -> [L::Vector; VECTORS] {
     let mut all = [L::splat(0.0); VECTORS];
     for (v, vector) in all.iter_mut().enumerate() {
         *vector = L::load(&from[v * lanes::<L>()..]);
@@ -101,7 +101,7 @@ fn load<L: Lanes, const VECTORS: usize>(from: &[f32]) -> [L::Vector; VECTORS] {
 }
 
 #[inline(always)]
-fn store<L: Lanes, const VECTORS: usize>(vectors: &[L::Vector; VECTORS], to: &mut [f32]) {
+pub(super) fn store<L: Lanes, const VECTORS: usize>(vectors: &[L::Vector; VECTORS], to: &mut [f32]) {
     for (v, vector) in vectors.iter().enumerate() {
         L::store(*vector, &mut to[v * lanes::<L>()..]);
     }
@@ -117,7 +117,7 @@ fn start<L: Lanes, const VECTORS: usize>(bias: Option<&[f32]>, j: usize) -> [L::
 }
 
 /// Bits of a mask.
-const WORD: usize = u64::BITS as usize;
+pub(super) const WORD: usize = u64::BITS as usize;
 /// Terms of a mask, one number each.
 type Word = [f32; WORD];
 /// Words of a row that are used before the next ones, where a tile is one row: its stripe is so wide that more rows of
@@ -156,26 +156,117 @@ struct Terms<'a> {
     finish: Option<Finish<'a>>,
 }
 
-/// The left factors of some rows: word by word, with the terms of each that are not zero in all of them.
-struct Left<'a, const ROWS: usize> {
-    rows: [&'a [Word]; ROWS],
-    masks: &'a [u64],
-    /// The rows in the output.
-    at: [usize; ROWS],
+/// The left factors of some rows, without terms that are zero in all of them.
+trait Left<const ROWS: usize> {
+    /// Adds the terms to the sums of the columns `j..` of `right`, a block of rows.
+    fn add<L: Lanes, const VECTORS: usize>(&self, right: Matrix<'_>, j: usize, sums: &mut [[L::Vector; VECTORS]; ROWS]);
 }
 
-/// Adds the terms to the sums of the columns `j..` of some rows of `out`; `right(k)` begins with those columns.
+/// A row: word by word, with the terms of each that are not zero. Where the compiler knows the distance of the right
+/// matrix's rows (`COLS`, zero where it does not), it need not ask for every one whether it is there.
+struct Row<'a, const COLS: usize> {
+    words: &'a [Word],
+    masks: &'a [u64],
+}
+
+impl<const COLS: usize> Left<1> for Row<'_, COLS> {
+    #[inline(always)]
+    fn add<L: Lanes, const VECTORS: usize>(&self, right: Matrix<'_>, j: usize, sums: &mut [[L::Vector; VECTORS]; 1]) {
+        let width = VECTORS * lanes::<L>();
+        for (word, (row, &mask)) in self.words.iter().zip(self.masks).enumerate() {
+            let mut mask = mask;
+            while mask != 0 {
+                // At most 63, which the compiler is told.
+                let k = mask.trailing_zeros() as usize % WORD;
+                mask &= mask - 1;
+                let term = WORD * word + k;
+                let line = match COLS {
+                    0 => &right.data[term * right.cols + j..][..width],
+                    _ => &right.data.as_chunks::<COLS>().0[term][j..][..width],
+                };
+                let line = load::<L, VECTORS>(line);
+                let factor = L::splat(row[k]);
+                for (sum, right) in sums[0].iter_mut().zip(line) {
+                    *sum = L::add_product(*sum, factor, right);
+                }
+            }
+        }
+    }
+}
+
+/// A term of several rows: the factor of each, and where the right factors begin.
+#[derive(Clone, Copy)]
+struct Term<const ROWS: usize> {
+    factors: [f32; ROWS],
+    right: u32,
+}
+
+/// As many terms as are used before the next ones.
+type List<const ROWS: usize> = [Term<ROWS>; WORDS * WORD];
+
+impl<const ROWS: usize> Term<ROWS> {
+    const NONE: Self = Self { factors: [0.0; ROWS], right: 0 };
+
+    /// Lists the terms that are not zero in all of some rows, and returns how many they are; their right factors are
+    /// `cols` apart. Their bits are set in `active`.
+    #[inline(always)]
+    fn list<L: Lanes>(rows: [&[Word]; ROWS], cols: usize, list: &mut List<ROWS>, active: &mut [u64; WORDS]) -> usize {
+        let mut length = 0;
+        for word in 0..rows[0].len() {
+            let words = rows.map(|row| &row[word]);
+            let mut mask = mask::<L, ROWS>(words);
+            active[word] |= mask;
+            while mask != 0 {
+                let k = mask.trailing_zeros() as usize % WORD;
+                mask &= mask - 1;
+                let right = ((WORD * word + k) * cols) as u32;
+                list[length] = Self { factors: words.map(|row| row[k]), right };
+                length += 1;
+            }
+        }
+        length
+    }
+}
+
+/// Several rows: the factors of a term side by side, one term after the other.
+struct Rows<'a, const ROWS: usize>(&'a [Term<ROWS>]);
+
+impl<const ROWS: usize> Left<ROWS> for Rows<'_, ROWS> {
+    #[inline(always)]
+    fn add<L: Lanes, const VECTORS: usize>(
+        &self,
+        right: Matrix<'_>,
+        j: usize,
+        sums: &mut [[L::Vector; VECTORS]; ROWS],
+    ) {
+        let right = &right.data[j..];
+        for term in self.0 {
+            let at = term.right as usize;
+            let line = load::<L, VECTORS>(&right[at..at + VECTORS * lanes::<L>()]);
+            for (factor, sums) in term.factors.iter().zip(&mut *sums) {
+                let factor = L::splat(*factor);
+                for (sum, right) in sums.iter_mut().zip(line) {
+                    *sum = L::add_product(*sum, factor, right);
+                }
+            }
+        }
+    }
+}
+
+/// Adds the terms to the sums of the columns `j..` of the rows `at` of `out`. Their right factors are the columns `from..`
+/// of `right`.
 // A function of its own in wasm: compilers of browsers allot registers better in small functions, and sooner.
 #[cfg_attr(target_arch = "wasm32", inline(never))]
 #[cfg_attr(not(target_arch = "wasm32"), inline(always))]
-fn sparse_tile<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
+fn sparse_tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     terms: &Terms<'_>,
-    left: &Left<'_, ROWS>,
-    right: impl Fn(usize) -> &'a [f32],
+    left: &impl Left<ROWS>,
+    (right, from): (Matrix<'_>, usize),
+    at: [usize; ROWS],
     out: &mut [f32],
     j: usize,
 ) {
-    let places = left.at.map(|row| row * terms.right.cols + j);
+    let places = at.map(|row| row * terms.right.cols + j);
     let mut sums = [[L::splat(0.0); VECTORS]; ROWS];
     match terms.begin {
         Some(bias) => sums = [start::<L, VECTORS>(bias, j); ROWS],
@@ -185,22 +276,7 @@ fn sparse_tile<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
             }
         }
     }
-    for (word, &mask) in left.masks.iter().enumerate() {
-        let rows: [&Word; ROWS] = core::array::from_fn(|r| &left.rows[r][word]);
-        let mut mask = mask;
-        while mask != 0 {
-            // At most 63, which the compiler is told.
-            let k = mask.trailing_zeros() as usize % WORD;
-            mask &= mask - 1;
-            let line = load::<L, VECTORS>(&right(WORD * word + k)[..VECTORS * lanes::<L>()]);
-            for (row, sums) in rows.iter().zip(&mut sums) {
-                let factor = L::splat(row[k]);
-                for (sum, right) in sums.iter_mut().zip(line) {
-                    *sum = L::add_product(*sum, factor, right);
-                }
-            }
-        }
-    }
+    left.add::<L, VECTORS>(right, from, &mut sums);
     for (sums, &at) in sums.iter().zip(&places) {
         let line = &mut out[at..at + VECTORS * lanes::<L>()];
         store::<L, VECTORS>(sums, line);
@@ -214,31 +290,84 @@ fn sparse_tile<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
 #[inline(always)]
 fn sparse_stripes<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     terms: &Terms<'_>,
-    left: &Left<'_, ROWS>,
+    left: &impl Left<ROWS>,
+    at: [usize; ROWS],
     out: &mut [f32],
 ) {
-    let Matrix { data, cols, .. } = terms.right;
+    let whole = terms.right.cols - terms.right.cols % 32;
     let width = VECTORS * lanes::<L>();
     let mut j = 0;
-    if cols == UNITS {
-        const { assert!(UNITS.is_multiple_of(VECTORS * lanes::<L>()), "stripes fill the row") };
-        // Where the compiler knows the distance of the rows, it need not ask for every one whether it is there.
-        let (rows, _) = data.as_chunks::<UNITS>();
-        while j + width <= UNITS {
-            sparse_tile::<L, ROWS, VECTORS>(terms, left, move |k| &rows[k][j..], out, j);
-            j += width;
-        }
-        return;
-    }
-    while j + width <= cols - cols % 32 {
-        sparse_tile::<L, ROWS, VECTORS>(terms, left, move |k| &data[k * cols + j..], out, j);
+    while j + width <= whole {
+        sparse_tile::<L, ROWS, VECTORS>(terms, left, (terms.right, j), at, out, j);
         j += width;
     }
     if width > 32 {
-        while j + 32 <= cols {
-            sparse_tile::<L, ROWS, LAST>(terms, left, move |k| &data[k * cols + j..], out, j);
+        while j + 32 <= whole {
+            sparse_tile::<L, ROWS, LAST>(terms, left, (terms.right, j), at, out, j);
             j += 32;
         }
+    }
+}
+
+/// Columns of a panel, at most.
+const PANEL: usize = 16;
+/// Tiles whose terms are listed before a panel is made.
+const GROUPS: usize = 8;
+/// So many tiles are worth a panel.
+const PANELS_FROM: usize = 3;
+
+/// Some rows and their places.
+#[inline(always)]
+fn gather<'a, const ROWS: usize>(
+    row: impl Fn(usize) -> &'a [Word],
+    at: impl Fn(usize) -> usize,
+) -> ([&'a [Word]; ROWS], [usize; ROWS]) {
+    let (mut rows, mut places) = ([&[][..]; ROWS], [0; ROWS]);
+    for (r, (words, place)) in rows.iter_mut().zip(&mut places).enumerate() {
+        (*words, *place) = (row(r), at(r));
+    }
+    (rows, places)
+}
+
+/// As [`sparse_stripes`], for several tiles of rows. For each stripe the right factors that any of them needs are
+/// written side by side: rows of a matrix that are a power of two apart share few places of the first cache, and would
+/// drive one another out.
+#[inline(always)]
+fn sparse_panels<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
+    terms: &Terms<'_>,
+    groups: usize,
+    row: impl Fn(usize) -> &'a [Word],
+    at: impl Fn(usize) -> usize,
+    out: &mut [f32],
+) {
+    let width = VECTORS * lanes::<L>();
+    const { assert!(ROWS == 1 || VECTORS * lanes::<L>() <= PANEL && 32 % (VECTORS * lanes::<L>()) == 0) };
+    let mut lists = [[Term::NONE; WORDS * WORD]; GROUPS];
+    let (mut lengths, mut places, mut active) = ([0; GROUPS], [[0; ROWS]; GROUPS], [0; WORDS]);
+    for g in 0..groups {
+        let rows;
+        (rows, places[g]) = gather(|r| row(g * ROWS + r), |r| at(g * ROWS + r));
+        lengths[g] = Term::list::<L>(rows, width, &mut lists[g], &mut active);
+    }
+    let Matrix { data, cols, .. } = terms.right;
+    let mut panel = [0.0; WORDS * WORD * PANEL];
+    let mut j = 0;
+    while j + width <= cols - cols % 32 {
+        for (word, &mask) in active.iter().enumerate() {
+            let mut mask = mask;
+            while mask != 0 {
+                let k = WORD * word + mask.trailing_zeros() as usize % WORD;
+                mask &= mask - 1;
+                let line = load::<L, VECTORS>(&data[k * cols + j..]);
+                store::<L, VECTORS>(&line, &mut panel[k * width..]);
+            }
+        }
+        let right = Matrix { data: &panel, rows: WORDS * WORD, cols: width };
+        for g in 0..groups {
+            let left = Rows(&lists[g][..lengths[g]]);
+            sparse_tile::<L, ROWS, VECTORS>(terms, &left, (right, 0), places[g], out, j);
+        }
+        j += width;
     }
 }
 
@@ -253,26 +382,35 @@ fn sparse_rows<'a, L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST
     out: &mut [f32],
 ) {
     let mut masks = [0; WORDS];
+    let mut list = [Term::NONE; WORDS * WORD];
     let mut i = 0;
     while i < count {
-        if ROWS > 1 && count - i <= ROWS / 3 {
-            let rows = [row(i)];
-            let masks = &mut masks[..rows[0].len()];
-            masks.iter_mut().zip(rows[0]).for_each(|(mask, word)| *mask = self::mask::<L, 1>([word]));
-            let left = Left { rows, masks, at: [at(i)] };
-            sparse_stripes::<L, 1, LAST, LAST>(terms, &left, out);
+        if ROWS > 1 && count - i >= PANELS_FROM * ROWS {
+            let groups = ((count - i) / ROWS).min(GROUPS);
+            sparse_panels::<L, ROWS, VECTORS>(terms, groups, |r| row(i + r), |r| at(i + r), out);
+            i += groups * ROWS;
+            continue;
+        }
+        if ROWS == 1 || count - i <= ROWS / 3 {
+            let words = row(i);
+            let masks = &mut masks[..words.len()];
+            masks.iter_mut().zip(words).for_each(|(mask, word)| *mask = self::mask::<L, 1>([word]));
+            let at = [at(i)];
+            match (ROWS, terms.right.cols) {
+                (1, UNITS) => {
+                    sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<UNITS> { words, masks }, at, out);
+                }
+                (1, _) => sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<0> { words, masks }, at, out),
+                (_, UNITS) => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<UNITS> { words, masks }, at, out),
+                _ => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<0> { words, masks }, at, out),
+            }
             i += 1;
             continue;
         }
         // Where rows are missing, the last one is computed again.
-        let place = |r: usize| (i + r).min(count - 1);
-        let rows: [&[Word]; ROWS] = core::array::from_fn(|r| row(place(r)));
-        let masks = &mut masks[..rows[0].len()];
-        for (word, mask) in masks.iter_mut().enumerate() {
-            *mask = self::mask::<L, ROWS>(core::array::from_fn(|r| &rows[r][word]));
-        }
-        let left = Left { rows, masks, at: core::array::from_fn(|r| at(place(r))) };
-        sparse_stripes::<L, ROWS, VECTORS, LAST>(terms, &left, out);
+        let (rows, places) = gather(|r| row((i + r).min(count - 1)), |r| at((i + r).min(count - 1)));
+        let length = Term::list::<L>(rows, terms.right.cols, &mut list, &mut [0; WORDS]);
+        sparse_stripes::<L, ROWS, VECTORS, LAST>(terms, &Rows(&list[..length]), places, out);
         i += ROWS;
     }
 }
@@ -543,87 +681,6 @@ pub(super) fn product_transposed_body<
     }
     while j < b.cols {
         stripe_transposed::<One, 8, 1>(a, b, out, j);
-        j += 1;
-    }
-}
-
-#[inline(always)]
-fn sum_block<L: Lanes, const VECTORS: usize>(
-    rows: Matrix<'_>,
-    indices: &[u32],
-    bias: &[f32],
-    out: &mut [f32],
-    j: usize,
-) {
-    let mut sums = load::<L, VECTORS>(&bias[j..]);
-    for &index in indices {
-        let at = index as usize * rows.cols + j;
-        let row = &rows.data[at..at + VECTORS * lanes::<L>()];
-        for (v, sum) in sums.iter_mut().enumerate() {
-            *sum = L::add(*sum, L::load(&row[v * lanes::<L>()..]));
-        }
-    }
-    let line = &mut out[j..j + VECTORS * lanes::<L>()];
-    store::<L, VECTORS>(&sums, line);
-    L::relu(line);
-}
-
-/// `out = relu(bias + Σ rows[index])`: the first layer on an input of zeros and ones, whose ones stand
-/// at `indices` (ascending). The same bits as the product with the input written out.
-#[inline(always)]
-pub(super) fn sum_rows_body<L: Lanes, const VECTORS: usize>(
-    rows: Matrix<'_>,
-    indices: &[u32],
-    bias: &[f32],
-    out: &mut [f32],
-) {
-    let mut j = 0;
-    while j + VECTORS * lanes::<L>() <= rows.cols {
-        sum_block::<L, VECTORS>(rows, indices, bias, out, j);
-        j += VECTORS * lanes::<L>();
-    }
-    while j + lanes::<L>() <= rows.cols {
-        sum_block::<L, 1>(rows, indices, bias, out, j);
-        j += lanes::<L>();
-    }
-    while j < rows.cols {
-        sum_block::<One, 1>(rows, indices, bias, out, j);
-        j += 1;
-    }
-}
-
-#[inline(always)]
-fn marked_block<L: Lanes, const VECTORS: usize>(rows: Matrix<'_>, marks: &[u64], out: &mut [f32], j: usize) {
-    let mut sums = [L::splat(0.0); VECTORS];
-    for (word, &mask) in marks.iter().enumerate() {
-        let mut mask = mask;
-        while mask != 0 {
-            let at = (WORD * word + mask.trailing_zeros() as usize) * rows.cols + j;
-            mask &= mask - 1;
-            let row = &rows.data[at..at + VECTORS * lanes::<L>()];
-            for (v, sum) in sums.iter_mut().enumerate() {
-                *sum = L::add(*sum, L::load(&row[v * lanes::<L>()..]));
-            }
-        }
-    }
-    store::<L, VECTORS>(&sums, &mut out[j..]);
-}
-
-/// `out = Σ rows[r]` over the rows whose bit is set in `marks`, in ascending order: the first layer's gradient for an
-/// input of zeros and ones, where the marks are the samples in which it is one.
-#[inline(always)]
-pub(super) fn sum_marked_body<L: Lanes, const WIDE: usize>(rows: Matrix<'_>, marks: &[u64], out: &mut [f32]) {
-    let mut j = 0;
-    while j + WIDE * lanes::<L>() <= rows.cols {
-        marked_block::<L, WIDE>(rows, marks, out, j);
-        j += WIDE * lanes::<L>();
-    }
-    while j + lanes::<L>() <= rows.cols {
-        marked_block::<L, 1>(rows, marks, out, j);
-        j += lanes::<L>();
-    }
-    while j < rows.cols {
-        marked_block::<One, 1>(rows, marks, out, j);
         j += 1;
     }
 }

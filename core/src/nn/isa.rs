@@ -13,7 +13,9 @@
 use core::sync::atomic::{AtomicU8, Ordering};
 
 use super::gemm::{self, Factors, Matrix, Output};
+use super::ones::{self, Visits};
 use super::optim::{self, Constants, State};
+use super::rows::Rows;
 
 /// A vector unit that this machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -539,10 +541,10 @@ kernel!(
     avx512: gemm::product_transposed_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
-    /// `out = relu(bias + Σ rows[index])`, see [`gemm`].
-    sum_rows(rows: Matrix<'_>, indices: &[u32], bias: &[f32], out: &mut [f32]),
-    baseline: gemm::sum_rows_body::<Baseline, 8>, avx2: gemm::sum_rows_body::<Avx2, 8>,
-    avx512: gemm::sum_rows_body::<Avx512, 8>
+    /// `out = relu(bias + Σ weights[one])`, see [`ones`].
+    sum_rows(weights: Matrix<'_>, rows: &Rows, visits: &Visits, bias: &[f32], out: &mut [f32]),
+    baseline: ones::sum_rows_body::<Baseline, 8>, avx2: ones::sum_rows_body::<Avx2, 8>,
+    avx512: ones::sum_rows_body::<Avx512, 8>
 );
 kernel!(
     /// `out = Σ rows`, see [`gemm`].
@@ -550,10 +552,10 @@ kernel!(
     baseline: gemm::sum_columns_body, avx2: gemm::sum_columns_body, avx512: gemm::sum_columns_body
 );
 kernel!(
-    /// `out = Σ rows[r]` over marked rows, see [`gemm`].
+    /// `out = Σ rows[r]` over marked rows, see [`ones`].
     sum_marked(rows: Matrix<'_>, marks: &[u64], out: &mut [f32]),
-    baseline: gemm::sum_marked_body::<Baseline, 8>, avx2: gemm::sum_marked_body::<Avx2, 8>,
-    avx512: gemm::sum_marked_body::<Avx512, 8>
+    baseline: ones::sum_marked_body::<Baseline, 8>, avx2: ones::sum_marked_body::<Avx2, 8>,
+    avx512: ones::sum_marked_body::<Avx512, 8>
 );
 kernel!(
     /// One step of the optimiser over a range of parameters, see [`optim`].

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::buffer::Buffer;
 use super::gemm::{Factors, Finish, Matrix, Output};
 use super::isa::{self, Isa};
+use super::ones::Visits;
 use super::optim::Adam;
 use super::rows::Rows;
 use crate::rng::Rng;
@@ -34,6 +35,7 @@ pub struct Scratch {
     delta: Buffer,
     next_delta: Buffer,
     transposed: Buffer,
+    visits: Visits,
 }
 
 /// Gradient of a network's parameters, in the layout of the parameters.
@@ -212,9 +214,7 @@ impl Mlp {
             let bias = &self.params[layer.bias..layer.bias + layer.outputs];
             let weights = Matrix::new(&self.params[layer.weights..], layer.inputs, layer.outputs);
             if index == 0 && rows.is_binary() && index != last {
-                for (row, line) in out.chunks_exact_mut(layer.outputs).enumerate() {
-                    isa::sum_rows(isa, weights, rows.ones(row), bias, line);
-                }
+                isa::sum_rows(isa, weights, rows, scratch.visits.order(rows), bias, out);
             } else {
                 let written_out: Vec<f32>;
                 let input = match before.last() {
@@ -268,7 +268,7 @@ impl Mlp {
         from: usize,
         scratch: &'s mut Scratch,
     ) -> &'s [f32] {
-        let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
+        let Scratch { layers: activations, delta, next_delta, transposed, .. } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
         for (index, layer) in self.layers_backwards() {
             let d = Matrix::new(delta, count, layer.outputs);
@@ -297,7 +297,7 @@ impl Mlp {
             gradient.touched.clear();
             gradient.row = self.sizes[1];
         }
-        let Scratch { layers: activations, delta, next_delta, transposed } = scratch;
+        let Scratch { layers: activations, delta, next_delta, transposed, .. } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
         for (index, layer) in self.layers_backwards() {
             let (inputs, outputs) = (layer.inputs, layer.outputs);

@@ -56,5 +56,6 @@ pub mod gemm;
 pub mod isa;
 pub mod loss;
 pub mod mlp;
+pub mod ones;
 pub mod optim;
 pub mod rows;
