@@ -32,7 +32,8 @@
 //!
 //! What is done about each term:
 //! - **First layer on zeros and ones**: a sum of the rows that are one, forwards: `n·128` additions for `n` ones
-//!   instead of `inputs·128` multiply-adds. Backwards, for every input a sum over the samples in which it is one, in
+//!   instead of `inputs·128` multiply-adds; rows are visited in an order in which they begin alike, and what neighbours
+//!   have in common is summed once ([`ones`]). Backwards, for every input a sum over the samples in which it is one, in
 //!   registers and written once.
 //! - **Equal rows** of a batch are computed once: with `S` distinct states, `N` distinct next states that do
 //!   not terminate and `U` distinct rows of both, `U` and `N` rows go forward and `S` backward.
