@@ -193,7 +193,6 @@ impl Agent for Ddqn {
             loss += value * share;
             output_gradient[at] += slope * share;
         }
-        gradient.clear();
         self.online.backward(&batch.rows, batch.states, output_gradient, online, gradient);
         gradient.mark(&mut self.optimizer);
         let target = (self.target.params_mut(), self.tau);

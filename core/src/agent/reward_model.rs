@@ -139,7 +139,6 @@ impl RewardModel {
                 *alive |= *unit > 0.0;
             }
         }
-        gradient.clear();
         self.network.backward(rows, rows.len(), output_gradient, scratch, gradient);
         gradient.mark(&mut self.optimizer);
         self.optimizer.step(self.network.params_mut(), gradient.values(), None);

@@ -356,7 +356,6 @@ impl<const N: usize> Td3<N> {
         for (x, slope) in actor_gradient.iter_mut().zip(slopes) {
             *x *= *slope;
         }
-        gradient.clear();
         self.actor.live.backward(states, batch.len(), actor_gradient, scratch, gradient);
         self.actor.step(gradient, Some(self.config.tau));
     }
@@ -399,7 +398,6 @@ impl<const N: usize> Agent for Td3<N> {
                 loss += value * share;
                 *slope = derivative * share;
             }
-            work.gradient.clear();
             critic.live.backward(&work.pairs, batch.len(), output_gradient, &mut work.critic, &mut work.gradient);
             critic.step(&work.gradient, tau);
         }

@@ -14,12 +14,18 @@
 //! to 63 %. With 8 lanes and 16 registers tiles of six rows pay, since what is loaded serves all of them; with 32
 //! registers or with 4 lanes one row at a time, whose sums fill the registers, is faster.
 
+use alloc::vec::Vec;
+use core::array::from_fn;
+
+use arrayvec::ArrayVec;
+
+use super::buffer::Buffer;
+use super::isa::{Baseline, Lanes, One};
+
 /// Chains that [`super::isa::probe`] runs side by side: enough to hide every latency, few enough for 16 registers.
 const PROBE_CHAINS: usize = 14;
 /// Lanes of [`super::isa::probe`]: those chains in the widest vectors.
 pub const PROBE_LANES: usize = 16 * PROBE_CHAINS;
-
-use super::isa::{Baseline, Lanes, One};
 
 /// A row-major matrix in a slice.
 #[derive(Clone, Copy)]
@@ -70,7 +76,7 @@ impl Finish<'_> {
     fn apply<L: Lanes>(self, sums: &mut [f32], at: usize) {
         match self {
             Finish::Plain => {}
-            Finish::Relu => L::relu(sums),
+            Finish::Relu => L::relu_all(sums),
             Finish::Where(active) => L::keep(sums, &active[at..at + sums.len()]),
         }
     }
@@ -136,7 +142,7 @@ const UNITS: usize = 128;
 fn mask<L: Lanes, const ROWS: usize>(rows: [&Word; ROWS]) -> u64 {
     let mut mask = 0;
     for i in 0..WORD / 16 {
-        let any: [f32; 16] = core::array::from_fn(|l| {
+        let any: [f32; 16] = from_fn(|l| {
             let bits = rows.iter().fold(0, |bits, row| bits | row[16 * i + l].to_bits());
             // Without the sign: both zeros are zero.
             f32::from_bits(bits & !(1 << 31))
@@ -148,12 +154,19 @@ fn mask<L: Lanes, const ROWS: usize>(rows: [&Word; ROWS]) -> u64 {
 
 /// A block of terms of the sums of some rows.
 struct Terms<'a> {
-    /// The rows of the right matrix that belong to the terms.
-    right: Matrix<'a>,
+    /// Columns of the product.
+    cols: usize,
     /// The first terms of all, in the first block: a bias or zeros.
     begin: Option<Option<&'a [f32]>>,
     /// What is done to the sums after the last block.
     finish: Option<Finish<'a>>,
+}
+
+impl<'a> Terms<'a> {
+    /// A block of the terms of `out`.
+    fn block(out: &Output<'a>, first: bool, last: bool, cols: usize) -> Self {
+        Self { cols, begin: first.then_some(out.bias), finish: last.then_some(out.finish) }
+    }
 }
 
 /// The left factors of some rows, without terms that are zero in all of them.
@@ -202,16 +215,14 @@ struct Term<const ROWS: usize> {
 }
 
 /// As many terms as are used before the next ones.
-type List<const ROWS: usize> = [Term<ROWS>; WORDS * WORD];
+type List<const ROWS: usize> = ArrayVec<Term<ROWS>, { WORDS * WORD }>;
 
 impl<const ROWS: usize> Term<ROWS> {
-    const NONE: Self = Self { factors: [0.0; ROWS], right: 0 };
-
-    /// Lists the terms that are not zero in all of some rows, and returns how many they are; their right factors are
-    /// `cols` apart. Their bits are set in `active`.
+    /// Lists the terms that are not zero in all of some rows; their right factors are `cols` apart. Their bits are set
+    /// in `active`.
     #[inline(always)]
-    fn list<L: Lanes>(rows: [&[Word]; ROWS], cols: usize, list: &mut List<ROWS>, active: &mut [u64; WORDS]) -> usize {
-        let mut length = 0;
+    fn list<L: Lanes>(rows: [&[Word]; ROWS], cols: usize, list: &mut List<ROWS>, active: &mut [u64; WORDS]) {
+        list.clear();
         for word in 0..rows[0].len() {
             let words = rows.map(|row| &row[word]);
             let mut mask = mask::<L, ROWS>(words);
@@ -219,19 +230,16 @@ impl<const ROWS: usize> Term<ROWS> {
             while mask != 0 {
                 let k = mask.trailing_zeros() as usize % WORD;
                 mask &= mask - 1;
-                let right = ((WORD * word + k) * cols) as u32;
-                list[length] = Self { factors: words.map(|row| row[k]), right };
-                length += 1;
+                list.push(Self { factors: words.map(|row| row[k]), right: ((WORD * word + k) * cols) as u32 });
             }
         }
-        length
     }
 }
 
-/// Several rows: the factors of a term side by side, one term after the other.
+/// Several rows, all those of a list or the first: the factors of a term side by side, one term after the other.
 struct Rows<'a, const ROWS: usize>(&'a [Term<ROWS>]);
 
-impl<const ROWS: usize> Left<ROWS> for Rows<'_, ROWS> {
+impl<const ROWS: usize, const OF: usize> Left<ROWS> for Rows<'_, OF> {
     #[inline(always)]
     fn add<L: Lanes, const VECTORS: usize>(
         &self,
@@ -253,6 +261,28 @@ impl<const ROWS: usize> Left<ROWS> for Rows<'_, ROWS> {
     }
 }
 
+/// Working memory of products. What it holds between them is of no account.
+#[derive(Clone, Debug, Default)]
+pub struct Work {
+    /// Columns of a left matrix as rows, zero beyond the first `samples` numbers of each.
+    columns: Vec<Word>,
+    samples: usize,
+    /// A right matrix with rows for columns.
+    transposed: Buffer,
+}
+
+impl Work {
+    /// Room for as many columns as a word has bits, of `samples` numbers each; the rest of each is zero.
+    fn columns(&mut self, samples: usize) -> &mut [Word] {
+        if samples < self.samples {
+            self.columns.clear();
+        }
+        self.samples = samples;
+        self.columns.resize(WORD, [0.0; WORD]);
+        &mut self.columns
+    }
+}
+
 /// Adds the terms to the sums of the columns `j..` of the rows `at` of `out`. Their right factors are the columns `from..`
 /// of `right`.
 // A function of its own in wasm: compilers of browsers allot registers better in small functions, and sooner.
@@ -266,7 +296,7 @@ fn sparse_tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     out: &mut [f32],
     j: usize,
 ) {
-    let places = at.map(|row| row * terms.right.cols + j);
+    let places = at.map(|row| row * terms.cols + j);
     let mut sums = [[L::splat(0.0); VECTORS]; ROWS];
     match terms.begin {
         Some(bias) => sums = [start::<L, VECTORS>(bias, j); ROWS],
@@ -291,19 +321,20 @@ fn sparse_tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
 fn sparse_stripes<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     terms: &Terms<'_>,
     left: &impl Left<ROWS>,
+    right: Matrix<'_>,
     at: [usize; ROWS],
     out: &mut [f32],
 ) {
-    let whole = terms.right.cols - terms.right.cols % 32;
+    let whole = terms.cols - terms.cols % 32;
     let width = VECTORS * lanes::<L>();
     let mut j = 0;
     while j + width <= whole {
-        sparse_tile::<L, ROWS, VECTORS>(terms, left, (terms.right, j), at, out, j);
+        sparse_tile::<L, ROWS, VECTORS>(terms, left, (right, j), at, out, j);
         j += width;
     }
     if width > 32 {
         while j + 32 <= whole {
-            sparse_tile::<L, ROWS, LAST>(terms, left, (terms.right, j), at, out, j);
+            sparse_tile::<L, ROWS, LAST>(terms, left, (right, j), at, out, j);
             j += 32;
         }
     }
@@ -312,9 +343,11 @@ fn sparse_stripes<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST:
 /// Columns of a panel, at most.
 const PANEL: usize = 16;
 /// Tiles whose terms are listed before a panel is made.
-const GROUPS: usize = 8;
+const GROUPS: usize = 16;
 /// So many tiles are worth a panel.
 const PANELS_FROM: usize = 3;
+/// So few rows of a tile are computed alone.
+const FEW: usize = 2;
 
 /// Some rows and their places.
 #[inline(always)]
@@ -329,43 +362,83 @@ fn gather<'a, const ROWS: usize>(
     (rows, places)
 }
 
+/// Where the right factors of a block of terms are.
+#[derive(Clone, Copy)]
+enum Right<'a> {
+    /// A row for every term.
+    Rows(Matrix<'a>),
+    /// A column for every term, from this one on.
+    Columns(Matrix<'a>, usize),
+}
+
+impl Right<'_> {
+    /// Writes the right factors of the columns `j..` of the product side by side, those of all terms whose bit is set.
+    #[inline(always)]
+    fn write<L: Lanes, const VECTORS: usize>(self, active: &[u64; WORDS], j: usize, panel: &mut [f32]) {
+        let (side, width) = (lanes::<L>(), VECTORS * lanes::<L>());
+        for (word, &mask) in active.iter().enumerate() {
+            let mut mask = mask;
+            while mask != 0 {
+                let k = mask.trailing_zeros() as usize % WORD;
+                let term = WORD * word + k;
+                match self {
+                    Right::Rows(Matrix { data, cols, .. }) => {
+                        mask &= mask - 1;
+                        let line = load::<L, VECTORS>(&data[term * cols + j..]);
+                        store::<L, VECTORS>(&line, &mut panel[term * width..]);
+                    }
+                    Right::Columns(Matrix { data, cols, .. }, first) => {
+                        // All of a square at once.
+                        let square = k - k % side;
+                        mask &= !(((1 << side) - 1) << square);
+                        let term = WORD * word + square;
+                        for v in 0..VECTORS {
+                            let from = &data[(j + v * side) * cols + first + term..];
+                            L::transpose(from, cols, &mut panel[term * width + v * side..], width);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// As [`sparse_stripes`], for several tiles of rows. For each stripe the right factors that any of them needs are
 /// written side by side: rows of a matrix that are a power of two apart share few places of the first cache, and would
 /// drive one another out.
 #[inline(always)]
 fn sparse_panels<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
     terms: &Terms<'_>,
-    groups: usize,
+    right: Right<'_>,
+    count: usize,
     row: impl Fn(usize) -> &'a [Word],
     at: impl Fn(usize) -> usize,
     out: &mut [f32],
 ) {
-    let width = VECTORS * lanes::<L>();
+    let (width, groups) = (VECTORS * lanes::<L>(), count.div_ceil(ROWS));
     const { assert!(ROWS == 1 || VECTORS * lanes::<L>() <= PANEL && 32 % (VECTORS * lanes::<L>()) == 0) };
-    let mut lists = [[Term::NONE; WORDS * WORD]; GROUPS];
-    let (mut lengths, mut places, mut active) = ([0; GROUPS], [[0; ROWS]; GROUPS], [0; WORDS]);
+    let mut lists: [List<ROWS>; GROUPS] = from_fn(|_| List::new());
+    let (mut places, mut active) = ([[0; ROWS]; GROUPS], [0; WORDS]);
     for g in 0..groups {
+        // Where rows are missing, the last one is computed again.
+        let place = |r: usize| (g * ROWS + r).min(count - 1);
         let rows;
-        (rows, places[g]) = gather(|r| row(g * ROWS + r), |r| at(g * ROWS + r));
-        lengths[g] = Term::list::<L>(rows, width, &mut lists[g], &mut active);
+        (rows, places[g]) = gather(|r| row(place(r)), |r| at(place(r)));
+        Term::list::<L>(rows, width, &mut lists[g], &mut active);
     }
-    let Matrix { data, cols, .. } = terms.right;
     let mut panel = [0.0; WORDS * WORD * PANEL];
     let mut j = 0;
-    while j + width <= cols - cols % 32 {
-        for (word, &mask) in active.iter().enumerate() {
-            let mut mask = mask;
-            while mask != 0 {
-                let k = WORD * word + mask.trailing_zeros() as usize % WORD;
-                mask &= mask - 1;
-                let line = load::<L, VECTORS>(&data[k * cols + j..]);
-                store::<L, VECTORS>(&line, &mut panel[k * width..]);
-            }
-        }
-        let right = Matrix { data: &panel, rows: WORDS * WORD, cols: width };
+    while j + width <= terms.cols - terms.cols % 32 {
+        right.write::<L, VECTORS>(&active, j, &mut panel);
+        let right = (Matrix { data: &panel, rows: WORDS * WORD, cols: width }, 0);
         for g in 0..groups {
-            let left = Rows(&lists[g][..lengths[g]]);
-            sparse_tile::<L, ROWS, VECTORS>(terms, &left, (right, 0), places[g], out, j);
+            let left = Rows(&lists[g]);
+            if count - g * ROWS <= FEW {
+                let places = from_fn(|r| places[g][r.min(ROWS - 1)]);
+                sparse_tile::<L, FEW, VECTORS>(terms, &left, right, places, out, j);
+            } else {
+                sparse_tile::<L, ROWS, VECTORS>(terms, &left, right, places[g], out, j);
+            }
         }
         j += width;
     }
@@ -376,41 +449,44 @@ fn sparse_panels<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
 #[inline(always)]
 fn sparse_rows<'a, L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     terms: &Terms<'_>,
+    right: Matrix<'_>,
     count: usize,
     row: impl Fn(usize) -> &'a [Word],
     at: impl Fn(usize) -> usize,
     out: &mut [f32],
 ) {
     let mut masks = [0; WORDS];
-    let mut list = [Term::NONE; WORDS * WORD];
+    let mut list = List::new();
     let mut i = 0;
     while i < count {
-        if ROWS > 1 && count - i >= PANELS_FROM * ROWS {
-            let groups = ((count - i) / ROWS).min(GROUPS);
-            sparse_panels::<L, ROWS, VECTORS>(terms, groups, |r| row(i + r), |r| at(i + r), out);
-            i += groups * ROWS;
+        let left = count - i;
+        if ROWS > 1 && left >= PANELS_FROM * ROWS {
+            let rows = left.min(GROUPS * ROWS);
+            sparse_panels::<L, ROWS, VECTORS>(terms, Right::Rows(right), rows, |r| row(i + r), |r| at(i + r), out);
+            i += rows;
             continue;
         }
-        if ROWS == 1 || count - i <= ROWS / 3 {
+        if ROWS == 1 || left <= FEW {
             let words = row(i);
             let masks = &mut masks[..words.len()];
             masks.iter_mut().zip(words).for_each(|(mask, word)| *mask = self::mask::<L, 1>([word]));
             let at = [at(i)];
-            match (ROWS, terms.right.cols) {
+            match (ROWS, terms.cols) {
                 (1, UNITS) => {
-                    sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<UNITS> { words, masks }, at, out);
+                    sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<UNITS> { words, masks }, right, at, out);
                 }
-                (1, _) => sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<0> { words, masks }, at, out),
-                (_, UNITS) => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<UNITS> { words, masks }, at, out),
-                _ => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<0> { words, masks }, at, out),
+                (1, _) => sparse_stripes::<L, 1, VECTORS, LAST>(terms, &Row::<0> { words, masks }, right, at, out),
+                (_, UNITS) => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<UNITS> { words, masks }, right, at, out),
+                _ => sparse_stripes::<L, 1, LAST, LAST>(terms, &Row::<0> { words, masks }, right, at, out),
             }
             i += 1;
             continue;
         }
         // Where rows are missing, the last one is computed again.
-        let (rows, places) = gather(|r| row((i + r).min(count - 1)), |r| at((i + r).min(count - 1)));
-        let length = Term::list::<L>(rows, terms.right.cols, &mut list, &mut [0; WORDS]);
-        sparse_stripes::<L, ROWS, VECTORS, LAST>(terms, &Rows(&list[..length]), places, out);
+        let place = |r: usize| (i + r).min(count - 1);
+        let (rows, places) = gather(|r| row(place(r)), |r| at(place(r)));
+        Term::list::<L>(rows, terms.cols, &mut list, &mut [0; WORDS]);
+        sparse_stripes::<L, ROWS, VECTORS, LAST>(terms, &Rows::<ROWS>(&list), right, places, out);
         i += ROWS;
     }
 }
@@ -426,21 +502,18 @@ fn sparse<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     let words = words(ROWS);
     for k in (0..a.cols).step_by(words * WORD) {
         let end = a.cols.min(k + words * WORD);
-        let terms = Terms {
-            right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
-            begin: (k == 0).then_some(out.bias),
-            finish: (end == a.cols).then_some(out.finish),
-        };
+        let right = Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols };
+        let terms = Terms::block(out, k == 0, end == a.cols, b.cols);
         if (end - k).is_multiple_of(WORD) {
             let row = |i: usize| a.data[i * a.cols + k..i * a.cols + end].as_chunks::<WORD>().0;
-            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, a.rows, row, |i| i, out.data);
+            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, right, a.rows, row, |i| i, out.data);
         } else {
             // What is missing of the last word is zero.
             for i in 0..a.rows {
                 let mut row = [[0.0; WORD]; WORDS];
                 row.as_flattened_mut()[..end - k].copy_from_slice(&a.data[i * a.cols + k..i * a.cols + end]);
                 let words = &row[..(end - k).div_ceil(WORD)];
-                sparse_rows::<L, 1, LAST, LAST>(&terms, 1, |_| words, |_| i, out.data);
+                sparse_rows::<L, 1, LAST, LAST>(&terms, right, 1, |_| words, |_| i, out.data);
             }
         }
     }
@@ -457,7 +530,7 @@ fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     j: usize,
 ) {
     let k = a.cols;
-    let rows: [&[f32]; ROWS] = core::array::from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
+    let rows: [&[f32]; ROWS] = from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
     let mut sums = [start::<L, VECTORS>(out.bias, j); ROWS];
     for (kk, right) in b.data.chunks_exact(b.cols).enumerate().take(k) {
         let line = load::<L, VECTORS>(&right[j..j + VECTORS * lanes::<L>()]);
@@ -543,6 +616,44 @@ pub(super) fn product_body<
     }
 }
 
+/// `C = start + A·Bᵀ` with A `[m, k]`, B `[n, k]`, C `[m, n]`: the gradient of a layer's inputs. The same tiles.
+#[inline(always)]
+pub(super) fn product_by_transposed_body<
+    L: Lanes,
+    const DROWS: usize,
+    const DENSE: usize,
+    const ROWS: usize,
+    const SPARSE: usize,
+    const LAST: usize,
+>(
+    a: Matrix<'_>,
+    b: Matrix<'_>,
+    c: Output<'_>,
+    work: &mut Work,
+) {
+    assert_eq!(a.cols, b.cols, "inner sizes of a product agree");
+    if ROWS == 1 || a.rows <= FEW || !a.cols.is_multiple_of(WORD) || !b.rows.is_multiple_of(32) {
+        let columns = work.transposed.at_least(b.rows * b.cols);
+        transpose_body::<L>(b, columns);
+        let columns = Matrix::new(columns, b.cols, b.rows);
+        // Of a few terms none is worth looking for.
+        let factors = if a.cols < 16 { Factors::Dense } else { Factors::Sparse };
+        product_body::<L, DROWS, DENSE, ROWS, SPARSE, LAST>(factors, a, columns, c);
+        return;
+    }
+    // Each panel is transposed where it is made.
+    for k in (0..a.cols).step_by(words(ROWS) * WORD) {
+        let end = a.cols.min(k + words(ROWS) * WORD);
+        let terms = Terms::block(&c, k == 0, end == a.cols, b.rows);
+        let row = |i: usize| a.data[i * a.cols + k..i * a.cols + end].as_chunks::<WORD>().0;
+        for i in (0..a.rows).step_by(GROUPS * ROWS) {
+            let rows = (a.rows - i).min(GROUPS * ROWS);
+            let right = Right::Columns(b, k);
+            sparse_panels::<L, ROWS, SPARSE>(&terms, right, rows, |r| row(i + r), |r| i + r, c.data);
+        }
+    }
+}
+
 /// One tile of `Aᵀ·B`: `ROWS` columns of A, some vectors of columns of B, reduction over their rows.
 #[inline(always)]
 fn tile_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize>(
@@ -597,20 +708,18 @@ fn sparse_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize, const LA
     a: Matrix<'_>,
     b: Matrix<'_>,
     out: &mut [f32],
+    work: &mut Work,
 ) -> usize {
     let whole = b.cols - b.cols % 32;
     for k in (0..a.rows).step_by(WORD) {
         let end = a.rows.min(k + WORD);
-        let terms = Terms {
-            right: Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols },
-            begin: (k == 0).then_some(None),
-            finish: None,
-        };
+        let right = Matrix { data: &b.data[k * b.cols..end * b.cols], rows: end - k, cols: b.cols };
+        let terms = Terms { cols: b.cols, begin: (k == 0).then_some(None), finish: None };
+        // A row each, the samples side by side.
+        let factors = work.columns(end - k);
         for first in (0..a.cols).step_by(WORD) {
             let last = a.cols.min(first + WORD);
-            // A row each, the samples side by side.
-            let mut factors = [[0.0; WORD]; WORD];
-            transpose_part::<L>(&a.data[k * a.cols + first..], [end - k, last - first], a.cols, &mut factors);
+            transpose_part::<L>(&a.data[k * a.cols + first..], [end - k, last - first], a.cols, factors);
             // The rows that are not all zero.
             let (mut active, mut count) = ([0; WORD], 0);
             for (i, row) in factors.iter().enumerate().take(last - first) {
@@ -622,7 +731,7 @@ fn sparse_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize, const LA
                 }
             }
             let row = |i: usize| core::slice::from_ref(&factors[active[i]]);
-            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, count, row, |i| first + active[i], out);
+            sparse_rows::<L, ROWS, VECTORS, LAST>(&terms, right, count, row, |i| first + active[i], out);
         }
     }
     whole
@@ -630,7 +739,7 @@ fn sparse_transposed<L: Lanes, const ROWS: usize, const VECTORS: usize, const LA
 
 /// Writes `rows` by `cols` numbers of `from`, whose rows are `stride` apart, with rows for columns.
 #[inline(always)]
-fn transpose_part<L: Lanes>(from: &[f32], [rows, cols]: [usize; 2], stride: usize, to: &mut [Word; WORD]) {
+fn transpose_part<L: Lanes>(from: &[f32], [rows, cols]: [usize; 2], stride: usize, to: &mut [Word]) {
     let side = lanes::<L>();
     let (whole_rows, whole_cols) = (rows - rows % side, cols - cols % side);
     let flat = to.as_flattened_mut();
@@ -661,11 +770,12 @@ pub(super) fn product_transposed_body<
     a: Matrix<'_>,
     b: Matrix<'_>,
     out: &mut [f32],
+    work: &mut Work,
 ) {
     assert_eq!(a.rows, b.rows, "inner sizes of a product agree");
     let mut j = 0;
     if factors == Factors::Sparse && b.cols >= 32 {
-        j = sparse_transposed::<L, ROWS, SPARSE, LAST>(a, b, out);
+        j = sparse_transposed::<L, ROWS, SPARSE, LAST>(a, b, out, work);
     }
     while j + DENSE * lanes::<L>() <= b.cols {
         stripe_transposed::<L, DROWS, DENSE>(a, b, out, j);
@@ -732,10 +842,9 @@ pub(super) fn transpose_body<L: Lanes>(a: Matrix<'_>, out: &mut [f32]) {
 /// [`Lanes::transpose`] for `SIDE` lanes, left to the compiler.
 #[inline(always)]
 pub(super) fn square<const SIDE: usize>(from: &[f32], stride: usize, to: &mut [f32], to_stride: usize) {
-    let block: [[f32; SIDE]; SIDE] =
-        core::array::from_fn(|i| from[i * stride..i * stride + SIDE].try_into().expect("a full block"));
+    let block: [[f32; SIDE]; SIDE] = from_fn(|i| from[i * stride..i * stride + SIDE].try_into().expect("a full block"));
     for j in 0..SIDE {
-        let column: [f32; SIDE] = core::array::from_fn(|i| block[i][j]);
+        let column: [f32; SIDE] = from_fn(|i| block[i][j]);
         to[j * to_stride..j * to_stride + SIDE].copy_from_slice(&column);
     }
 }

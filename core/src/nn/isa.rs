@@ -12,7 +12,7 @@
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
-use super::gemm::{self, Factors, Matrix, Output};
+use super::gemm::{self, Factors, Matrix, Output, Work};
 use super::ones::{self, Visits};
 use super::optim::{self, Constants, State};
 use super::rows::Rows;
@@ -115,11 +115,12 @@ pub(super) trait Lanes {
     /// Elementwise square root.
     fn sqrt(x: Self::Vector) -> Self::Vector;
     /// Zero in place of what is below zero; what is not a number stays one.
+    fn relu(x: Self::Vector) -> Self::Vector;
+    /// The same of numbers in memory. A plain loop: written with vectors, it drives the sums of a product, which were
+    /// stored just before, out of their registers (a tile of six rows takes 1.08 of its time).
     #[inline(always)]
-    fn relu(sums: &mut [f32]) {
-        for sum in sums {
-            *sum = if *sum < 0.0 { 0.0 } else { *sum };
-        }
+    fn relu_all(sums: &mut [f32]) {
+        sums.iter_mut().for_each(|sum| *sum = One::relu(*sum));
     }
     /// Zero where `active` is not above zero.
     #[inline(always)]
@@ -138,19 +139,22 @@ pub(super) trait Lanes {
 pub(super) struct Baseline;
 
 #[cfg(target_arch = "aarch64")]
-use core::arch::aarch64::{float32x4_t as Four, vaddq_f32, vmulq_f32, vsqrtq_f32};
+use core::arch::aarch64::{
+    float32x4_t as Four, vaddq_f32, vbicq_u32, vcltzq_f32, vmulq_f32, vreinterpretq_f32_u32, vreinterpretq_u32_f32,
+    vsqrtq_f32,
+};
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
 use core::arch::wasm32::{
     f32x4_add, f32x4_gt, f32x4_lt, f32x4_mul, f32x4_splat, f32x4_sqrt, v128 as Four, v128_and, v128_andnot,
 };
 #[cfg(target_arch = "x86_64")]
-use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_mul_ps, _mm_sqrt_ps};
+use core::arch::x86_64::{__m128 as Four, _mm_add_ps, _mm_max_ps, _mm_mul_ps, _mm_setzero_ps, _mm_sqrt_ps};
 #[cfg(target_arch = "x86_64")]
 use core::arch::x86_64::{
-    __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_movemask_ps, _mm256_mul_ps,
+    __m256, __m512, _CMP_NEQ_UQ, _mm256_add_ps, _mm256_cmp_ps, _mm256_max_ps, _mm256_movemask_ps, _mm256_mul_ps,
     _mm256_permute2f128_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_shuffle_ps, _mm256_sqrt_ps, _mm256_unpackhi_ps,
-    _mm256_unpacklo_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_mul_ps, _mm512_set1_ps, _mm512_setzero_ps,
-    _mm512_sqrt_ps,
+    _mm256_unpacklo_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_max_ps, _mm512_mul_ps, _mm512_set1_ps,
+    _mm512_setzero_ps, _mm512_sqrt_ps,
 };
 /// No vectors at all.
 #[cfg(not(any(
@@ -261,16 +265,42 @@ impl Lanes for Baseline {
         }
     }
 
-    // For wasm these plain loops become branches, which half of the sums take.
+    #[inline(always)]
+    fn relu(x: Four) -> Four {
+        #[cfg(target_arch = "x86_64")]
+        // The second one where they are equal or one is not a number.
+        // SAFETY: SSE is part of x86-64.
+        unsafe {
+            _mm_max_ps(_mm_setzero_ps(), x)
+        }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        {
+            v128_andnot(x, f32x4_lt(x, f32x4_splat(0.0)))
+        }
+        #[cfg(target_arch = "aarch64")]
+        // SAFETY: NEON is part of AArch64.
+        unsafe {
+            vreinterpretq_f32_u32(vbicq_u32(vreinterpretq_u32_f32(x), vcltzq_f32(x)))
+        }
+        #[cfg(not(any(
+            target_arch = "x86_64",
+            target_arch = "aarch64",
+            all(target_arch = "wasm32", target_feature = "simd128")
+        )))]
+        {
+            x.map(One::relu)
+        }
+    }
+
+    // For wasm the plain loops become branches, which half of the sums take.
     #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
     #[inline(always)]
-    fn relu(sums: &mut [f32]) {
+    fn relu_all(sums: &mut [f32]) {
         let (whole, rest) = sums.as_chunks_mut::<4>();
         for lanes in whole {
-            let x = Self::load(lanes);
-            Self::store(v128_andnot(x, f32x4_lt(x, f32x4_splat(0.0))), lanes);
+            Self::store(Self::relu(Self::load(lanes)), lanes);
         }
-        One::relu(rest);
+        rest.iter_mut().for_each(|sum| *sum = One::relu(*sum));
     }
 
     #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
@@ -353,6 +383,11 @@ impl Lanes for One {
     }
 
     #[inline(always)]
+    fn relu(x: f32) -> f32 {
+        if x < 0.0 { 0.0 } else { x }
+    }
+
+    #[inline(always)]
     fn nonzero(x: &[f32; 16]) -> u32 {
         Baseline::nonzero(x)
     }
@@ -403,6 +438,12 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn sqrt(x: __m256) -> __m256 {
         unsafe { _mm256_sqrt_ps(x) }
+    }
+
+    #[inline(always)]
+    fn relu(x: __m256) -> __m256 {
+        // The second one where they are equal or one is not a number.
+        unsafe { _mm256_max_ps(_mm256_setzero_ps(), x) }
     }
 
     #[inline(always)]
@@ -484,6 +525,12 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
+    fn relu(x: __m512) -> __m512 {
+        // The second one where they are equal or one is not a number.
+        unsafe { _mm512_max_ps(_mm512_setzero_ps(), x) }
+    }
+
+    #[inline(always)]
     fn nonzero(x: &[f32; 16]) -> u32 {
         unsafe {
             let x = core::mem::transmute::<[f32; 16], __m512>(*x);
@@ -534,8 +581,15 @@ kernel!(
     avx512: gemm::product_body::<Avx512, 4, 4, 1, 8, 2>
 );
 kernel!(
+    /// `C = start + A·Bᵀ`, see [`gemm`].
+    product_by_transposed(a: Matrix<'_>, b: Matrix<'_>, c: Output<'_>, work: &mut Work),
+    baseline: gemm::product_by_transposed_body::<Baseline, 4, 2, 1, 8, 8>,
+    avx2: gemm::product_by_transposed_body::<Avx2, 6, 2, 6, 2, 4>,
+    avx512: gemm::product_by_transposed_body::<Avx512, 4, 4, 1, 8, 2>
+);
+kernel!(
     /// `C = Aᵀ·B`, see [`gemm`].
-    product_transposed(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]),
+    product_transposed(factors: Factors, a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32], work: &mut Work),
     baseline: gemm::product_transposed_body::<Baseline, 4, 2, 1, 8, 8>,
     avx2: gemm::product_transposed_body::<Avx2, 6, 2, 6, 2, 4>,
     avx512: gemm::product_transposed_body::<Avx512, 4, 4, 1, 8, 2>

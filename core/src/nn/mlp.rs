@@ -10,7 +10,7 @@ use ndarray::{ArrayView1, ArrayView2};
 use serde::{Deserialize, Serialize};
 
 use super::buffer::Buffer;
-use super::gemm::{Factors, Finish, Matrix, Output};
+use super::gemm::{Factors, Finish, Matrix, Output, Work};
 use super::isa::{self, Isa};
 use super::ones::Visits;
 use super::optim::Adam;
@@ -34,17 +34,16 @@ pub struct Scratch {
     layers: Vec<Buffer>,
     delta: Buffer,
     next_delta: Buffer,
-    transposed: Buffer,
     visits: Visits,
+    products: Work,
 }
 
-/// Gradient of a network's parameters, in the layout of the parameters.
-///
-/// Between updates the rows of the first layer are zero where inputs are binary: [`Mlp::backward`]
-/// adds to the rows that are active, [`Gradient::clear`] zeroes them again.
+/// Gradient of a network's parameters, in the layout of the parameters. One belongs to one network and one kind of
+/// rows.
 #[derive(Clone, Debug, Default)]
 pub struct Gradient {
     values: Buffer,
+    /// Binary inputs that are one in a sample, ascending. The rows of the others are zero.
     touched: Vec<u32>,
     /// For every binary input, the samples in which it is one: a bit each.
     marks: Vec<u64>,
@@ -57,29 +56,23 @@ impl Gradient {
         &self.values
     }
 
-    /// Zeroes what the last backward pass left in the first layer.
-    pub fn clear(&mut self) {
-        for &index in &self.touched {
-            let at = index as usize * self.row;
-            self.values[at..at + self.row].fill(0.0);
-        }
-        self.touched.clear();
-    }
-
-    /// Notes which inputs are one in which of the first `count` rows; returns the words of marks per input.
+    /// Notes which inputs are one in which of the first `count` rows, zeroes the first layer's rows of those that no
+    /// longer are, and returns the words of marks per input.
     fn mark_samples(&mut self, rows: &Rows, count: usize) -> usize {
         let words = count.div_ceil(WORD);
         self.marks.clear();
         self.marks.resize(rows.width() * words, 0);
         for row in 0..count {
-            for &index in rows.ones(row) {
-                let marks = &mut self.marks[index as usize * words..(index as usize + 1) * words];
-                if marks.iter().all(|mark| *mark == 0) {
-                    self.touched.push(index);
-                }
-                marks[row / WORD] |= 1 << (row % WORD);
-            }
+            let (word, bit) = (row / WORD, 1 << (row % WORD));
+            rows.ones(row).iter().for_each(|&index| self.marks[index as usize * words + word] |= bit);
         }
+        let marks = &self.marks;
+        let is_one = |index: u32| marks[index as usize * words..][..words].iter().any(|mark| *mark != 0);
+        for &index in self.touched.iter().filter(|index| !is_one(**index)) {
+            self.values[index as usize * self.row..][..self.row].fill(0.0);
+        }
+        self.touched.clear();
+        self.touched.extend((0..rows.width() as u32).filter(|index| is_one(*index)));
         words
     }
 
@@ -247,15 +240,14 @@ impl Mlp {
         from: usize,
         delta: Matrix<'_>,
         finish: Finish<'_>,
-        transposed: &mut Buffer,
+        products: &mut Work,
         out: &mut Buffer,
     ) {
         let isa = Isa::active();
         let (inputs, outputs) = (layer.inputs - from, layer.outputs);
         let own = Matrix::new(&self.params[layer.weights + from * outputs..], inputs, outputs);
-        isa::transpose(isa, own, transposed.at_least(inputs * outputs));
         let output = Output { data: out.at_least(delta.rows * inputs), bias: None, finish };
-        isa::product(isa, Factors::Sparse, delta, Matrix::new(transposed, outputs, inputs), output);
+        isa::product_by_transposed(isa, delta, own, output, products);
     }
 
     /// Gradient of a scalar loss with respect to the inputs from input `from` on, `[count, width - from]`,
@@ -268,13 +260,13 @@ impl Mlp {
         from: usize,
         scratch: &'s mut Scratch,
     ) -> &'s [f32] {
-        let Scratch { layers: activations, delta, next_delta, transposed, .. } = scratch;
+        let Scratch { layers: activations, delta, next_delta, products, .. } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
         for (index, layer) in self.layers_backwards() {
             let d = Matrix::new(delta, count, layer.outputs);
             let (from, finish) =
                 if index == 0 { (from, Finish::Plain) } else { (0, Finish::Where(&activations[index - 1])) };
-            self.data_gradient(layer, from, d, finish, transposed, next_delta);
+            self.data_gradient(layer, from, d, finish, products, next_delta);
             core::mem::swap(delta, next_delta);
         }
         &delta[..count * (self.sizes[0] - from)]
@@ -282,7 +274,7 @@ impl Mlp {
 
     /// Gradient of a scalar loss, given its derivative with respect to the outputs of the first `count`
     /// rows of the last forward pass with the same `rows` and `scratch`: `output_gradient` is
-    /// `[count, outputs]`, row-major. [`Gradient::clear`] the old gradient before.
+    /// `[count, outputs]`, row-major.
     pub fn backward(
         &self,
         rows: &Rows,
@@ -297,7 +289,7 @@ impl Mlp {
             gradient.touched.clear();
             gradient.row = self.sizes[1];
         }
-        let Scratch { layers: activations, delta, next_delta, transposed, .. } = scratch;
+        let Scratch { layers: activations, delta, next_delta, products, .. } = scratch;
         delta.at_least(output_gradient.len()).copy_from_slice(output_gradient);
         for (index, layer) in self.layers_backwards() {
             let (inputs, outputs) = (layer.inputs, layer.outputs);
@@ -315,12 +307,12 @@ impl Mlp {
             let weights = &mut gradient.values[layer.weights..layer.bias];
             if index > 0 {
                 let h = Matrix::new(&activations[index - 1], count, inputs);
-                isa::product_transposed(isa, factors(index), h, d, weights);
-                self.data_gradient(layer, 0, d, Finish::Where(h.data), transposed, next_delta);
+                isa::product_transposed(isa, factors(index), h, d, weights, products);
+                self.data_gradient(layer, 0, d, Finish::Where(h.data), products, next_delta);
                 core::mem::swap(delta, next_delta);
             } else {
                 let x = Matrix::new(rows.dense(), count, inputs);
-                isa::product_transposed(isa, factors(index), x, d, weights);
+                isa::product_transposed(isa, factors(index), x, d, weights, products);
             }
         }
     }
@@ -402,18 +394,20 @@ mod tests {
     fn binary_and_dense_inputs_give_the_same_bits() {
         let mut rng = Rng::new(2);
         let network = Mlp::new(&[20, 32, 2], &mut rng);
-        let binary = random_rows(ObservationSpec { width: 20, binary: true }, 5, &mut rng);
-        let mut dense = Rows::new(ObservationSpec { width: 20, binary: false });
-        write_out(&binary).chunks(20).for_each(|row| dense.push_observation(row));
         let (mut a, mut b) = (Scratch::default(), Scratch::default());
         let (mut ga, mut gb) = (Gradient::default(), Gradient::default());
-        assert_eq!(network.forward(&binary, &mut a), network.forward(&dense, &mut b));
-        let derivative: Vec<f32> = (0..10).map(|i| i as f32 - 4.5).collect();
-        network.backward(&binary, 5, &derivative, &mut a, &mut ga);
-        network.backward(&dense, 5, &derivative, &mut b, &mut gb);
-        assert_eq!(ga.values(), gb.values());
-        ga.clear();
-        assert!(ga.values()[..20 * 32].iter().all(|&x| x == 0.0));
+        // Batch after batch: inputs that are no longer one have no gradient.
+        for count in [5, 1, 70, 2] {
+            let binary = random_rows(ObservationSpec { width: 20, binary: true }, count, &mut rng);
+            let mut dense = Rows::new(ObservationSpec { width: 20, binary: false });
+            write_out(&binary).chunks(20).for_each(|row| dense.push_observation(row));
+            assert_eq!(network.forward(&binary, &mut a), network.forward(&dense, &mut b));
+            let derivative: Vec<f32> = (0..2 * count).map(|i| i as f32 - 4.5).collect();
+            network.backward(&binary, count, &derivative, &mut a, &mut ga);
+            network.backward(&dense, count, &derivative, &mut b, &mut gb);
+            assert_eq!(ga.values(), gb.values());
+        }
+        assert!(ga.values()[..20 * 32].iter().any(|&x| x == 0.0));
     }
 
     #[test]

@@ -41,9 +41,9 @@
 //!   the layer), in the gradient of the weights (the same inputs, unit by unit) and in that of the inputs (derivatives
 //!   that the next ReLU stopped). With a share `d` of the units active in a tile of rows, that leaves `d` of the work;
 //!   finding the zeros costs a comparison per 16 factors of a tile.
-//! - **Gradient of the inputs**: the weights are transposed first (128·128 numbers: 4 µs, bounded by the
-//!   second cache), so that this product too runs over outputs side by side. The ReLU's derivative is taken
-//!   where the product is stored.
+//! - **Gradient of the inputs**: the weights are transposed, so that this product too runs over outputs side by side:
+//!   panel by panel where tiles of several rows need panels anyway, else all of them first (128·128 numbers: 4 µs,
+//!   bounded by the second cache). The ReLU's derivative is taken where the product is stored.
 //! - **Narrow layers** (1 to 4 outputs) take eight rows at a time, each sum a chain of its own.
 //! - **Optimiser**: one pass over parameters, gradient, both moments and target network, 36 bytes per
 //!   parameter (28 without target network) from the second cache, one square root and one division. Rows of

@@ -100,8 +100,7 @@ fn sum_block<L: Lanes, const VECTORS: usize>(
         }
         sums = add_rows::<L, VECTORS>(sums, weights, &ones[done..], j);
         let line = &mut out[visit.row * weights.cols + j..][..width];
-        store::<L, VECTORS>(&sums, line);
-        L::relu(line);
+        store::<L, VECTORS>(&sums.map(L::relu), line);
     }
 }
 

@@ -33,9 +33,11 @@ fn plain(m: usize, n: usize, k: usize, a: impl Fn(usize, usize) -> f32, b: &[f32
 fn every_vector_unit_gives_the_bits_of_the_definition() {
     let mut rng = Rng::new(3);
     assert!(Isa::supported().count() >= 1);
-    // The last three have more rows than one panel serves, more terms than one block, and rows that fill no tile.
+    // One for all: nothing of a product shows in the next one.
+    let mut work = Work::default();
+    // The last ones have more rows than one panel serves, more terms than one block, and rows that fill no tile.
     let sizes = [(1, 1, 1), (3, 4, 5), (33, 128, 128), (7, 149, 11), (32, 2, 128)];
-    for (m, n, k) in sizes.into_iter().chain([(65, 182, 70), (53, 96, 256), (104, 160, 192)]) {
+    for (m, n, k) in sizes.into_iter().chain([(65, 182, 70), (53, 96, 256), (104, 160, 192), (32, 128, 128)]) {
         let (mut a, b, mut bias) = (random(m * k, &mut rng), random(k * n, &mut rng), random(n, &mut rng));
         // Zeros of both signs, a row and a column of zeros, and a bias of zero.
         for (i, x) in a.iter_mut().enumerate() {
@@ -47,15 +49,19 @@ fn every_vector_unit_gives_the_bits_of_the_definition() {
         let at: Vec<f32> = (0..k * m).map(|i| a[(i % m) * k + i / m]).collect();
         let expected = plain(m, n, k, |i, kk| a[i * k + kk], &b, Some(&bias));
         let expected_t = plain(m, n, k, |i, kk| a[i * k + kk], &b, None);
+        let bt: Vec<f32> = (0..k * n).map(|i| b[(i % k) * n + i / k]).collect();
         for isa in Isa::supported() {
             let mut c = vec![f32::NAN; m * n];
             for factors in [Factors::Dense, Factors::Sparse] {
                 let out = Output { data: &mut c, bias: Some(&bias), finish: Finish::Plain };
                 isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
                 assert_eq!(bits(&c), bits(&expected), "{isa:?} {factors:?} {m} {n} {k}");
-                isa::product_transposed(isa, factors, Matrix::new(&at, k, m), Matrix::new(&b, k, n), &mut c);
+                isa::product_transposed(isa, factors, Matrix::new(&at, k, m), Matrix::new(&b, k, n), &mut c, &mut work);
                 assert_eq!(bits(&c), bits(&expected_t), "{isa:?} {factors:?} {m} {n} {k} transposed");
             }
+            let out = Output { data: &mut c, bias: Some(&bias), finish: Finish::Plain };
+            isa::product_by_transposed(isa, Matrix::new(&a, m, k), Matrix::new(&bt, n, k), out, &mut work);
+            assert_eq!(bits(&c), bits(&expected), "{isa:?} {m} {n} {k} by the transposed");
         }
     }
 }
