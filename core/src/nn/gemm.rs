@@ -142,11 +142,18 @@ const UNITS: usize = 128;
 fn mask<L: Lanes, const ROWS: usize>(rows: [&Word; ROWS]) -> u64 {
     let mut mask = 0;
     for i in 0..WORD / 16 {
-        let any: [f32; 16] = from_fn(|l| {
-            let bits = rows.iter().fold(0, |bits, row| bits | row[16 * i + l].to_bits());
+        // Loops and no closures, which would become functions of their own without this vector unit.
+        let mut bits = [0; 16];
+        for row in rows {
+            for (bits, x) in bits.iter_mut().zip(&row[16 * i..16 * i + 16]) {
+                *bits |= x.to_bits();
+            }
+        }
+        let mut any = [0.0; 16];
+        for (any, bits) in any.iter_mut().zip(bits) {
             // Without the sign: both zeros are zero.
-            f32::from_bits(bits & !(1 << 31))
-        });
+            *any = f32::from_bits(bits & !(1 << 31));
+        }
         mask |= u64::from(L::nonzero(&any)) << (16 * i);
     }
     mask
@@ -434,7 +441,7 @@ fn sparse_panels<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
         for g in 0..groups {
             let left = Rows(&lists[g]);
             if count - g * ROWS <= FEW {
-                let places = from_fn(|r| places[g][r.min(ROWS - 1)]);
+                let places = [places[g][0], places[g][1 % ROWS]];
                 sparse_tile::<L, FEW, VECTORS>(terms, &left, right, places, out, j);
             } else {
                 sparse_tile::<L, ROWS, VECTORS>(terms, &left, right, places[g], out, j);
@@ -530,7 +537,10 @@ fn tile<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     j: usize,
 ) {
     let k = a.cols;
-    let rows: [&[f32]; ROWS] = from_fn(|r| &a.data[(i + r) * k..(i + r) * k + k]);
+    let mut rows = [&[][..]; ROWS];
+    for (r, row) in rows.iter_mut().enumerate() {
+        *row = &a.data[(i + r) * k..(i + r) * k + k];
+    }
     let mut sums = [start::<L, VECTORS>(out.bias, j); ROWS];
     for (kk, right) in b.data.chunks_exact(b.cols).enumerate().take(k) {
         let line = load::<L, VECTORS>(&right[j..j + VECTORS * lanes::<L>()]);
