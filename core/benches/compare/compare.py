@@ -1,20 +1,34 @@
-"""The same update by mcvl, by a JAX scan and by eager PyTorch, in turn, on one core.
+"""The same update by mcvl, by a JAX scan, by eager PyTorch and by mcvl as wasm, in turn, on one core.
 
-    cargo bench -p mcvl-core --no-run
+    cargo build --release -p mcvl-core --example updates
     pip install -r core/benches/compare/requirements.txt
-    python core/benches/compare/compare.py target/release/deps/update-<hash> [--rounds N] [CASE ...]
+    python core/benches/compare/compare.py target/release/examples/libupdates.so [--rounds N] [CASE ...]
+
+And as the page's module computes it (needs Node, and nothing of Python's packages):
+
+    RUSTFLAGS=-Ctarget-feature=+simd128 cargo build --profile web -p mcvl-core --example updates \\
+        --target wasm32-unknown-unknown
+    python core/benches/compare/compare.py target/release/examples/libupdates.so \\
+        --with wasm=target/wasm32-unknown-unknown/web/examples/updates.wasm
 
 Every contender draws mini-batches from 1,000 transitions and makes whole updates in float32: DDQN with two
 hidden layers of 128, batch 32, SmoothL1, Adam, moving target; TD3 with two of 256, batch 256, an actor's step
-in every second update. In each round each runs once; what is printed are medians of the rounds and of the
-ratios round by round, with the quartiles. Times are processor time of the process that works, so that other
-programs on the machine disturb little, and every process may use one core only.
+in every second update. In each round each works for some hundredths of a second, in an order drawn anew; what is
+printed are medians of the rounds and of the ratios round by round, with the quartiles. All use one core only. Times are
+processor time, so that other programs on the machine disturb little; but those of a virtual machine's neighbours make a
+core up to 1.5 times slower for seconds at a time, and not all programs alike. So the ratios are printed once more of the
+rounds in which both were within a tenth of their least time. With `--with a=PATH` another build of the library takes
+part, under that name.
 
-mcvl sums in a fixed order and fuses no multiply-add; the other two may do as they like.
+mcvl sums in a fixed order and fuses no multiply-add; JAX and PyTorch may do as they like. mcvl's contenders must
+end with the same loss to the last bit.
 """
 
 import argparse
+import ctypes
+import json
 import os
+import random
 import statistics
 import subprocess
 import sys
@@ -27,12 +41,16 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-import torch
+try:
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+    import torch
 
-torch.set_num_threads(1)
+    torch.set_num_threads(1)
+except ImportError as missing:
+    # Enough for mcvl alone; who asks for the others is told.
+    jax, MISSING = None, missing
 
 TRANSITIONS, GAMMA, TAU, BETAS, EPSILON = 1000, 0.95, 0.005, (0.9, 0.999), 1e-8
 # Inputs; the others compute zeros and ones, and repeated states, as they compute any numbers. A case with the name of a
@@ -250,9 +268,65 @@ def torch_runner(update):
     return run
 
 
-def mcvl(binary, case):
-    lines = subprocess.run([binary, "--time", case], check=True, capture_output=True, text=True).stdout.splitlines()
-    return float(next(line.split()[1] for line in lines if line.startswith(case + " ")))
+# mcvl: a library in this process, and a module in a process of Node.
+
+
+class Library:
+    def __init__(self, path):
+        self.library = ctypes.CDLL(os.path.abspath(path))
+        self.library.run.restype = ctypes.c_double
+        self.names = names(lambda case, at: self.library.letter(case, at))
+
+    def prepare(self, case):
+        self.library.prepare(self.names.index(case))
+
+    def run(self, count):
+        start = time.process_time()
+        digest = self.library.run(count)
+        return (time.process_time() - start) / count, digest
+
+
+def names(letter):
+    every = []
+    while True:
+        name, at = "", 0
+        while code := letter(len(every), at):
+            name, at = name + chr(code), at + 1
+        if not name:
+            return every
+        every.append(name)
+
+
+NODE = """
+const { instance } = await WebAssembly.instantiate(require("fs").readFileSync(process.argv[1]), {});
+const module = instance.exports;
+const clock = () => { const { user, system } = process.cpuUsage(); return user + system; };
+for await (const line of require("readline").createInterface({ input: process.stdin })) {
+  const [name, ...numbers] = JSON.parse(line);
+  const start = clock();
+  const answer = module[name](...numbers);
+  console.log(JSON.stringify([answer ?? 0, (clock() - start) / 1e6]));
+}
+"""
+
+
+class Module:
+    def __init__(self, path):
+        # The optimising compiler at once: what remains after some seconds of a page.
+        command = ["node", "--no-wasm-tier-up", "--no-liftoff", "-e", f"(async () => {{{NODE}}})()", path]
+        self.node = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.names = names(lambda case, at: self.ask("letter", case, at)[0])
+
+    def ask(self, *call):
+        print(json.dumps(call), file=self.node.stdin, flush=True)
+        return json.loads(self.node.stdout.readline())
+
+    def prepare(self, case):
+        self.ask("prepare", self.names.index(case))
+
+    def run(self, count):
+        digest, seconds = self.ask("run", count)
+        return seconds / count, digest
 
 
 def quartiles(values):
@@ -262,29 +336,51 @@ def quartiles(values):
 
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("binary", help="the built benchmark of mcvl-core")
-    arguments.add_argument("--rounds", type=int, default=11)
+    arguments.add_argument("library", help="the built library of updates")
+    arguments.add_argument("--rounds", type=int, default=101)
+    others = "contenders: jax, pytorch, NAME=PATH of a library or a .wasm module; default: jax pytorch"
+    arguments.add_argument("--with", dest="others", action="append", metavar="OTHER", help=others)
     arguments.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; all without")
     arguments = arguments.parse_intermixed_args()
+    asked = arguments.others or ["jax", "pytorch"]
+    if jax is None and {"jax", "pytorch"} & set(asked):
+        sys.exit(f"error: {MISSING}; install core/benches/compare/requirements.txt, or leave jax and pytorch out by --with")
+    own = {"mcvl": Library(arguments.library)}
+    for other in asked:
+        name, _, path = other.partition("=")
+        if path:
+            own[name] = (Module if path.endswith(".wasm") else Library)(path)
     model = next((line.split(": ")[1].strip() for line in open("/proc/cpuinfo") if line.startswith("model name")), "?")
-    print(f"{model}; Python {sys.version.split()[0]}, JAX {jax.__version__}, PyTorch {torch.__version__}; one core")
-    for case in arguments.cases or CASES:
+    versions = f", JAX {jax.__version__}, PyTorch {torch.__version__}" if jax else ""
+    print(f"{model}; Python {sys.version.split()[0]}{versions}; one core; {arguments.rounds} rounds")
+    for case in arguments.cases or [case for case in own["mcvl"].names if case in CASES]:
         width = CASES[case]
-        contenders = {
-            "JAX scan": (jax_td3() if width is None else jax_ddqn(width), 40 if width is None else 400),
-            "PyTorch eager": (torch_td3() if width is None else torch_ddqn(width), 20 if width is None else 100),
-        }
+        # Updates of a turn: some hundredths of a second.
+        turn, slow = (4, 4) if width is None else (200, 20)
+        contenders = {name: (lambda count, it=it: it.run(count)[0], turn) for name, it in own.items()}
+        if "jax" in asked:
+            contenders["JAX scan"] = (jax_td3() if width is None else jax_ddqn(width), turn)
+        if "pytorch" in asked:
+            contenders["PyTorch eager"] = (torch_td3() if width is None else torch_ddqn(width), slow)
+        for it in own.values():
+            it.prepare(case)
         for run, count in contenders.values():
+            run(2 * count)
             run(count)
-        times = {name: [] for name in ("mcvl", *contenders)}
+        times = {name: [] for name in contenders}
         for _ in range(arguments.rounds):
-            times["mcvl"].append(1e6 * mcvl(arguments.binary, case))
-            for name, (run, count) in contenders.items():
+            for name, (run, count) in random.sample(sorted(contenders.items()), len(contenders)):
                 times[name].append(1e6 * run(count))
+        digests = {name: it.run(1)[1] for name, it in own.items()}
+        assert len(set(digests.values())) == 1, f"the same losses from {digests}"
         print(case)
         for name, values in times.items():
             ratio = [value / own for value, own in zip(values, times["mcvl"])]
-            print(f"  {name:<14}{quartiles(values)} us    {quartiles(ratio)} times mcvl's", flush=True)
+            line = f"  {name:<14}{quartiles(values)} us    {quartiles(ratio)} times mcvl's"
+            still = [all(t[i] < 1.1 * min(t) for t in (values, times["mcvl"])) for i in range(arguments.rounds)]
+            if name != "mcvl" and 8 < sum(still) < arguments.rounds:
+                line += f"; in {sum(still)} quiet rounds {quartiles([r for r, quiet in zip(ratio, still) if quiet])}"
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -407,7 +407,7 @@ mod tests {
             network.backward(&dense, count, &derivative, &mut b, &mut gb);
             assert_eq!(ga.values(), gb.values());
         }
-        assert!(ga.values()[..20 * 32].iter().any(|&x| x == 0.0));
+        assert!(ga.values()[..20 * 32].contains(&0.0));
     }
 
     #[test]
