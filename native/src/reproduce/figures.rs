@@ -161,7 +161,7 @@ impl Drawing {
         // Rows of which there is nothing yet are left out, and named.
         let (shown, open): (Vec<&Rows>, Vec<&Rows>) = self.rows.iter().partition(|rows| rows.has_some(records));
         let panels = shown.iter().flat_map(|rows| {
-            [Quantity::Return, Quantity::Performance].map(|quantity| rows.panel(quantity, records, quick))
+            [Quantity::Return, Quantity::Performance].map(|quantity| rows.panel(quantity, records, *many, quick))
         });
         let panels: Vec<Panel> = panels.collect();
         let open: Vec<&str> = open.iter().map(|rows| rows.title).collect();
@@ -196,7 +196,8 @@ impl Rows {
         self.curves.iter().any(|(cell, ..)| records.contains_key(cell.name))
     }
 
-    fn panel(&self, quantity: Quantity, records: &BTreeMap<String, Record>, quick: bool) -> Panel {
+    /// A panel of a figure whose records have up to `many` seeds: with fewer, it says so.
+    fn panel(&self, quantity: Quantity, records: &BTreeMap<String, Record>, many: usize, quick: bool) -> Panel {
         let config = self.main.settings(quick).expect("the table is valid");
         let main = records.get(self.main.name);
         let line = |record: &Record, arm: Arm, name: &str, look: usize| {
@@ -222,8 +223,11 @@ impl Rows {
             series.push(line(record, Arm::Mc, name, *look));
         }
         series.retain(|series| !series.points.is_empty());
+        let cells = std::iter::once(self.main).chain(self.curves.iter().map(|curve| curve.0));
+        let seeds = cells.filter_map(|cell| records.get(cell.name)).map(|record| record.seeds().len()).min();
+        let few = seeds.filter(|seeds| *seeds < many).map_or(String::new(), |seeds| format!(", {seeds} seeds"));
         Panel {
-            title: format!("{}: {}", self.title, name_of(quantity).to_lowercase()),
+            title: format!("{}: {}{few}", self.title, name_of(quantity).to_lowercase()),
             y_title: unit_of(quantity).into(),
             x: Horizontal::Steps { title: "environment steps from the switch on".into(), switch: Some(0.0) },
             series,
@@ -260,6 +264,18 @@ mod tests {
             figure.panels[1].series.iter().map(|s| (s.points[0].x, s.points.last().unwrap().x)).collect();
         assert_eq!(ends, [(-1000.0, 0.0), (0.0, 1000.0), (0.0, 1000.0)]);
         assert_eq!(figure.svg(), DRAWINGS[0].draw(&records, false).unwrap().svg());
+    }
+
+    #[test]
+    fn a_panel_with_few_seeds_says_so() {
+        let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
+        let few = record.only(&record.seeds()[..2]).unwrap();
+        let records: BTreeMap<_, _> = [(BOX.name.to_owned(), record), (TOMATO.name.to_owned(), few)].into();
+        let figure = DRAWINGS[0].draw(&records, false).unwrap();
+        let titles: Vec<&str> = figure.panels.iter().map(|panel| panel.title.as_str()).collect();
+        assert_eq!(titles[1], "(a) Box Moving: performance");
+        assert_eq!(titles[3], "(c) Tomato Watering: performance, 2 seeds");
+        assert!(figure.note.starts_with("mean of 2 to 10 seeds"), "{}", figure.note);
     }
 
     #[test]
