@@ -17,8 +17,8 @@ in every second update. In each round each works for some hundredths of a second
 printed are medians of the rounds and of the ratios round by round, with the quartiles. All use one core only. Times are
 processor time, so that other programs on the machine disturb little; but those of a virtual machine's neighbours make a
 core up to 1.5 times slower for seconds at a time, and not all programs alike. So the ratios are printed once more of the
-rounds in which both were within a tenth of their least time. With `--with a=PATH` another build of the library takes
-part, under that name.
+rounds in which both were within a tenth of their least time. With `--with a=PATH` another build of the library (a
+copy, not the same file) takes part, under that name.
 
 mcvl sums in a fixed order and fuses no multiply-add; JAX and PyTorch may do as they like. mcvl's contenders must
 end with the same loss to the last bit.
@@ -319,7 +319,7 @@ class Module:
 
     def ask(self, *call):
         print(json.dumps(call), file=self.node.stdin, flush=True)
-        return json.loads(self.node.stdout.readline())
+        return json.loads(self.node.stdout.readline() or sys.exit("error: Node ended; what it said stands above"))
 
     def prepare(self, case):
         self.ask("prepare", self.names.index(case))
@@ -335,23 +335,30 @@ def quartiles(values):
 
 
 def main():
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("library", help="the built library of updates")
-    arguments.add_argument("--rounds", type=int, default=101)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("library", help="the built library of updates")
+    parser.add_argument("--rounds", type=int, default=101, help="at least 2; default: 101")
     others = "contenders: jax, pytorch, NAME=PATH of a library or a .wasm module; default: jax pytorch"
-    arguments.add_argument("--with", dest="others", action="append", metavar="OTHER", help=others)
-    arguments.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; all without")
-    arguments = arguments.parse_intermixed_args()
+    parser.add_argument("--with", dest="others", action="append", metavar="OTHER", help=others)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; all without")
+    arguments = parser.parse_intermixed_args()
+    if arguments.rounds < 2:
+        parser.error("--rounds: at least 2")
     asked = arguments.others or ["jax", "pytorch"]
     if jax is None and {"jax", "pytorch"} & set(asked):
         sys.exit(f"error: {MISSING}; install core/benches/compare/requirements.txt, or leave jax and pytorch out by --with")
     own = {"mcvl": Library(arguments.library)}
     for other in asked:
         name, _, path = other.partition("=")
+        if name in own or (not path and name not in ("jax", "pytorch")):
+            parser.error(f"--with {other}: one of jax, pytorch and NAME=PATH, each name once")
         if path:
             own[name] = (Module if path.endswith(".wasm") else Library)(path)
     model = next((line.split(": ")[1].strip() for line in open("/proc/cpuinfo") if line.startswith("model name")), "?")
     versions = f", JAX {jax.__version__}, PyTorch {torch.__version__}" if jax else ""
+    for case in arguments.cases:
+        if case not in CASES or any(case not in it.names for it in own.values()):
+            parser.error(f"{case} is no case of all contenders; cases: {', '.join(CASES)}")
     print(f"{model}; Python {sys.version.split()[0]}{versions}; one core; {arguments.rounds} rounds")
     for case in arguments.cases or [case for case in own["mcvl"].names if case in CASES]:
         width = CASES[case]

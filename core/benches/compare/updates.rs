@@ -1,5 +1,7 @@
 //! The updates of the benchmarks as a library that other programs call: `compare.py` times them beside JAX and PyTorch in
 //! one process, and as wasm beside native code.
+//!
+//! The unsafe attributes are sound: no other symbol of this library has these names.
 #![allow(unsafe_code)]
 
 mod cases;
@@ -10,7 +12,6 @@ use std::cell::RefCell;
 thread_local!(static UPDATE: RefCell<Option<Update>> = const { RefCell::new(None) });
 
 /// Character number `position` of the name of case number `case`; zero behind the last one and beyond the last case.
-// SAFETY: no other symbol of this library has these names.
 #[unsafe(no_mangle)]
 pub extern "C" fn letter(case: u32, position: u32) -> u32 {
     let name = CASES.get(case as usize).map_or("", |(name, _)| name);

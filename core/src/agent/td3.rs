@@ -120,6 +120,7 @@ struct Work {
     scratch: Scratch,
     critic: Scratch,
     gradient: Gradient,
+    actor_params_gradient: Gradient,
     states: Rows,
     pairs: Rows,
     next_pairs: Rows,
@@ -334,7 +335,16 @@ impl<const N: usize> Td3<N> {
 
     /// One step of the actor on −mean Q₁(s, π(s)); its target follows.
     fn improve(&mut self, batch: &Minibatch<Continuous<N>>, work: &mut Work) {
-        let Work { scratch, critic, gradient, states, pairs, output_gradient, actor_gradient, .. } = work;
+        let Work {
+            scratch,
+            critic,
+            actor_params_gradient: gradient,
+            states,
+            pairs,
+            output_gradient,
+            actor_gradient,
+            ..
+        } = work;
         states.clear(self.observation);
         batch.state.iter().for_each(|&row| states.push_row(&batch.rows, row as usize));
         let outputs = self.actor.live.forward(states, scratch);

@@ -142,7 +142,7 @@ const UNITS: usize = 128;
 fn mask<L: Lanes, const ROWS: usize>(rows: [&Word; ROWS]) -> u64 {
     let mut mask = 0;
     for i in 0..WORD / 16 {
-        // Loops and no closures, which would become functions of their own without this vector unit.
+        // Loops and no `from_fn`, which would become a function of its own without this vector unit.
         let mut bits = [0; 16];
         for row in rows {
             for (bits, x) in bits.iter_mut().zip(&row[16 * i..16 * i + 16]) {
@@ -171,6 +171,7 @@ struct Terms<'a> {
 
 impl<'a> Terms<'a> {
     /// A block of the terms of `out`.
+    #[inline(always)]
     fn block(out: &Output<'a>, first: bool, last: bool, cols: usize) -> Self {
         Self { cols, begin: first.then_some(out.bias), finish: last.then_some(out.finish) }
     }
@@ -351,9 +352,9 @@ fn sparse_stripes<L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST:
 const PANEL: usize = 16;
 /// Tiles whose terms are listed before a panel is made.
 const GROUPS: usize = 16;
-/// So many tiles are worth a panel.
+/// So many tiles are worth a panel of rows as they are; one of columns is made for fewer.
 const PANELS_FROM: usize = 3;
-/// So few rows of a tile are computed alone.
+/// So few rows are no tile: each is computed alone, or both in a tile of two where there is a panel.
 const FEW: usize = 2;
 
 /// Some rows and their places.
@@ -451,8 +452,8 @@ fn sparse_panels<'a, L: Lanes, const ROWS: usize, const VECTORS: usize>(
     }
 }
 
-/// The sums of some rows of the output, those at `at`, whose factors are `rows`: in tiles, and one by one where few
-/// are left.
+/// The sums of some rows of the output, those at `at`, whose factors are `rows`: many with panels, others in tiles, and
+/// few one by one.
 #[inline(always)]
 fn sparse_rows<'a, L: Lanes, const ROWS: usize, const VECTORS: usize, const LAST: usize>(
     terms: &Terms<'_>,
@@ -642,6 +643,7 @@ pub(super) fn product_by_transposed_body<
     work: &mut Work,
 ) {
     assert_eq!(a.cols, b.cols, "inner sizes of a product agree");
+    debug_assert!(c.bias.is_none_or(|bias| bias.iter().all(|b| b.to_bits() != 1 << 31)), "no bias is -0");
     if ROWS == 1 || a.rows <= FEW || !a.cols.is_multiple_of(WORD) || !b.rows.is_multiple_of(32) {
         let columns = work.transposed.at_least(b.rows * b.cols);
         transpose_body::<L>(b, columns);

@@ -619,12 +619,6 @@ kernel!(
 );
 
 kernel!(
-    /// `out = aᵀ`, see [`gemm`].
-    transpose(a: Matrix<'_>, out: &mut [f32]),
-    baseline: gemm::transpose_body::<Baseline>, avx2: gemm::transpose_body::<Avx2>,
-    avx512: gemm::transpose_body::<Avx512>
-);
-kernel!(
     /// The most multiply-adds that can be had, see [`gemm`].
     probe(rounds: usize, x: &mut [f32; gemm::PROBE_LANES]),
     baseline: gemm::probe_body::<Baseline>, avx2: gemm::probe_body::<Avx2>, avx512: gemm::probe_body::<Avx512>

@@ -68,35 +68,29 @@ fn every_vector_unit_gives_the_bits_of_the_definition() {
 
 #[test]
 fn what_is_done_last_is_done_once() {
-    // 40 terms: two blocks, of which the first ends below zero.
-    let (m, n, k) = (3, 36, 40);
-    let a: Vec<f32> = (0..m * k).map(|i| if i % k < 32 { -1.0 } else { 1.0 + (i / k) as f32 * 4.0 }).collect();
-    let b = vec![1.0; k * n];
-    let active: Vec<f32> = (0..m * n).map(|i| (i % 3) as f32 - 1.0).collect();
-    for isa in Isa::supported() {
-        for factors in [Factors::Dense, Factors::Sparse] {
-            let run = |finish| {
+    // Two blocks of terms, of which the first ends below zero; 97 rows leave one over behind a full set of tiles.
+    const K: usize = 192;
+    for (m, n) in [(3, 36), (3, 64), (7, 64), (97, 64)] {
+        let (factors, sums) = ([1.0, 2.5, 4.0], [-64.0, 32.0, 128.0]);
+        let a: Vec<f32> = (0..m * K).map(|i| if i % K < 128 { -1.0 } else { factors[i / K % 3] }).collect();
+        let b = vec![1.0; K * n];
+        let active: Vec<f32> = (0..m * n).map(|i| (i % 5) as f32 - 2.0).collect();
+        let relu: Vec<f32> = (0..m * n).map(|i| f32::max(sums[i / n % 3], 0.0)).collect();
+        let kept: Vec<f32> = (0..m * n).map(|i| if i % 5 > 2 { sums[i / n % 3] } else { 0.0 }).collect();
+        let mut work = Work::default();
+        for isa in Isa::supported() {
+            for (finish, expected) in [(Finish::Relu, &relu), (Finish::Where(&active), &kept)] {
+                for factors in [Factors::Dense, Factors::Sparse] {
+                    let mut c = vec![f32::NAN; m * n];
+                    let out = Output { data: &mut c, bias: None, finish };
+                    isa::product(isa, factors, Matrix::new(&a, m, K), Matrix::new(&b, K, n), out);
+                    assert_eq!(&c, expected, "{isa:?} {factors:?} {m} {n}");
+                }
                 let mut c = vec![f32::NAN; m * n];
                 let out = Output { data: &mut c, bias: None, finish };
-                isa::product(isa, factors, Matrix::new(&a, m, k), Matrix::new(&b, k, n), out);
-                c
-            };
-            let sums = [-24.0, 8.0, 40.0];
-            assert!(run(Finish::Relu).iter().enumerate().all(|(i, x)| *x == f32::max(sums[i / n], 0.0)));
-            let kept = |i: usize| if i % 3 == 2 { sums[i / n] } else { 0.0 };
-            assert!(run(Finish::Where(&active)).iter().enumerate().all(|(i, x)| *x == kept(i)));
-        }
-    }
-}
-
-#[test]
-fn transposes() {
-    for (rows, cols) in [(2, 3), (8, 4), (13, 22), (128, 2), (1, 1)] {
-        let a: Vec<f32> = (0..rows * cols).map(|i| i as f32).collect();
-        for isa in Isa::supported() {
-            let mut t = vec![-1.0; rows * cols];
-            isa::transpose(isa, Matrix::new(&a, rows, cols), &mut t);
-            assert!((0..rows * cols).all(|i| t[(i % cols) * rows + i / cols] == a[i]), "{rows} x {cols}");
+                isa::product_by_transposed(isa, Matrix::new(&a, m, K), Matrix::new(&b, n, K), out, &mut work);
+                assert_eq!(&c, expected, "{isa:?} {m} {n} by the transposed");
+            }
         }
     }
 }
