@@ -274,6 +274,8 @@ def torch_runner(update):
 class Library:
     def __init__(self, path):
         self.library = ctypes.CDLL(os.path.abspath(path))
+        if not hasattr(self.library, "letter"):
+            sys.exit(f"error: {path} is not the library of updates; build it as `--help` says")
         self.library.run.restype = ctypes.c_double
         self.names = names(lambda case, at: self.library.letter(case, at))
 
