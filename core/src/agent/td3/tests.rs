@@ -176,8 +176,8 @@ fn the_actors_gradient_matches_finite_differences() {
     let before = agent.actor.live.clone();
     let samples = transitions(5);
     agent.update(&batch(&samples), &mut Rng::new(0));
-    // The last backward pass of the update was the actor's; the first critic has not moved since.
-    let gradient = agent.work.gradient.values().to_vec();
+    // The first critic has not moved since the actor's backward pass.
+    let gradient = agent.work.actor_params_gradient.values().to_vec();
     let critic = agent.critic(0);
     let loss = |actor: &Mlp| -> f64 {
         let values = samples.iter().map(|t| f64::from(q(critic, &t.observation, &pi(actor, &t.observation))));
