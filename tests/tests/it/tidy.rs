@@ -80,7 +80,8 @@ fn core_is_pure() {
 
 #[test]
 fn core_has_only_allowed_dependencies() {
-    let allowed = ["base64", "cpufeatures", "libm", "ndarray", "postcard", "serde", "sha2"].map(String::from);
+    let allowed =
+        ["arrayvec", "base64", "cpufeatures", "libm", "ndarray", "postcard", "serde", "sha2"].map(String::from);
     let unexpected: Vec<_> = dependencies("mcvl-core").into_iter().filter(|name| !allowed.contains(name)).collect();
     assert_none(&unexpected, "core depends on something that is not on its list:");
 }
@@ -222,7 +223,9 @@ fn every_kernel_has_its_twin() {
 fn unsafe_code_has_one_place() {
     let begins = [" {", " fn", " impl", " trait", " extern", "("].map(|rest| format!("{}{rest}", "unsafe"));
     let found = violations(rust(&files(), ""), |file, line| {
-        file.path != "core/src/nn/isa.rs" && begins.iter().any(|begin| line.contains(begin))
+        // Names of a library that only a comparison loads.
+        let named = file.path == "core/benches/compare/updates.rs" && line.ends_with("(no_mangle)]");
+        file.path != "core/src/nn/isa.rs" && !named && begins.iter().any(|begin| line.contains(begin))
     });
     assert_none(&found, "unsafe stands only in core/src/nn/isa.rs, with its proof");
 }
