@@ -17,6 +17,7 @@ use mcvl_core::trainer::Trainer;
 /// An update, which returns its loss.
 pub type Update = Box<dyn FnMut() -> f32>;
 
+/// Samples of a mini-batch, except for TD3.
 pub const BATCH: u32 = 32;
 const ACTIONS: ActionSpec = ActionSpec::Discrete(&["up", "down", "left", "right"]);
 
@@ -36,6 +37,7 @@ pub enum Case {
     Td3,
 }
 
+/// What is measured, by name.
 pub const CASES: [(&str, Case); 13] = [
     ("box-moving", Case::World("box-moving")),
     ("absent-supervisor", Case::World("absent-supervisor")),
@@ -93,6 +95,7 @@ pub fn discrete(case: Case) -> ReplayBuffer<Discrete> {
     replay(ObservationSpec { width, binary }, &observations, |rng| Discrete(rng.below(4) as u8), &mut rng)
 }
 
+/// A learner of the paper's sizes.
 pub fn ddqn(spec: ObservationSpec) -> Ddqn {
     let config = DdqnConfig { hidden: 128, layers: 2, gamma: 0.95, tau: 0.005, adam: adam(1e-4) };
     Ddqn::new(spec, &ACTIONS, &config, &mut Rng::new(2))

@@ -2,14 +2,15 @@
 
     cargo build --release -p mcvl-core --example updates
     pip install -r core/benches/compare/requirements.txt
-    python core/benches/compare/compare.py target/release/examples/libupdates.so [--rounds N] [CASE ...]
+    python core/benches/compare/compare.py target/release/examples/updates [--rounds N] [CASE ...]
 
 And as the page's module computes it (needs Node, and nothing of Python's packages):
 
+    rustup target add wasm32-wasip1
     RUSTFLAGS=-Ctarget-feature=+simd128 cargo build --profile web -p mcvl-core --example updates \\
-        --target wasm32-unknown-unknown
-    python core/benches/compare/compare.py target/release/examples/libupdates.so \\
-        --with wasm=target/wasm32-unknown-unknown/web/examples/updates.wasm
+        --target wasm32-wasip1
+    python core/benches/compare/compare.py target/release/examples/updates \\
+        --with wasm=target/wasm32-wasip1/web/examples/updates.wasm
 
 Every contender draws mini-batches from 1,000 transitions and makes whole updates in float32: DDQN with two
 hidden layers of 128, batch 32, SmoothL1, Adam, moving target; TD3 with two of 256, batch 256, an actor's step
@@ -17,16 +18,14 @@ in every second update. In each round each works for some hundredths of a second
 printed are medians of the rounds and of the ratios round by round, with the quartiles. All use one core only. Times are
 processor time, so that other programs on the machine disturb little; but those of a virtual machine's neighbours make a
 core up to 1.5 times slower for seconds at a time, and not all programs alike. So the ratios are printed once more of the
-rounds in which both were within a tenth of their least time. With `--with a=PATH` another build of the library (a
-copy, not the same file) takes part, under that name.
+rounds in which both were within a tenth of their least time. With `--with a=PATH` another build of the program takes
+part, under that name. (Linux: the processor time of another process is read from /proc.)
 
-mcvl sums in a fixed order and fuses no multiply-add; JAX and PyTorch may do as they like. mcvl's contenders must
-end with the same loss to the last bit.
+mcvl sums in a fixed order and fuses no multiply-add; JAX and PyTorch may do as they like. The losses of
+mcvl's contenders must be the same to the last bit.
 """
 
 import argparse
-import ctypes
-import json
 import os
 import random
 import statistics
@@ -268,67 +267,39 @@ def torch_runner(update):
     return run
 
 
-# mcvl: a library in this process, and a module in a process of Node.
-
-
-class Library:
-    def __init__(self, path):
-        self.library = ctypes.CDLL(os.path.abspath(path))
-        if not hasattr(self.library, "letter"):
-            sys.exit(f"error: {path} is not the library of updates; build it as `--help` says")
-        self.library.run.restype = ctypes.c_double
-        self.names = names(lambda case, at: self.library.letter(case, at))
-
-    def prepare(self, case):
-        self.library.prepare(self.names.index(case))
-
-    def run(self, count):
-        start = time.process_time()
-        digest = self.library.run(count)
-        return (time.process_time() - start) / count, digest
-
-
-def names(letter):
-    every = []
-    while True:
-        name, at = "", 0
-        while code := letter(len(every), at):
-            name, at = name + chr(code), at + 1
-        if not name:
-            return every
-        every.append(name)
-
+# mcvl: a process that answers lines, native or wasm in Node.
 
 NODE = """
-const { instance } = await WebAssembly.instantiate(require("fs").readFileSync(process.argv[1]), {});
-const module = instance.exports;
-const clock = () => { const { user, system } = process.cpuUsage(); return user + system; };
-for await (const line of require("readline").createInterface({ input: process.stdin })) {
-  const [name, ...numbers] = JSON.parse(line);
-  const start = clock();
-  const answer = module[name](...numbers);
-  console.log(JSON.stringify([answer ?? 0, (clock() - start) / 1e6]));
-}
+const { WASI } = require("wasi");
+const wasi = new WASI({ version: "preview1" });
+const module = new WebAssembly.Module(require("fs").readFileSync(process.argv[1]));
+wasi.start(new WebAssembly.Instance(module, wasi.getImportObject()));
 """
 
 
-class Module:
+class Mcvl:
     def __init__(self, path):
         # The optimising compiler at once: what remains after some seconds of a page.
-        command = ["node", "--no-wasm-tier-up", "--no-liftoff", "-e", f"(async () => {{{NODE}}})()", path]
-        self.node = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self.names = names(lambda case, at: self.ask("letter", case, at)[0])
+        node = ["node", "--no-warnings", "--no-wasm-tier-up", "--no-liftoff", "-e", NODE]
+        command = [*node, path] if path.endswith(".wasm") else [os.path.abspath(path)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.cases = self.ask("cases").split()
 
-    def ask(self, *call):
-        print(json.dumps(call), file=self.node.stdin, flush=True)
-        return json.loads(self.node.stdout.readline() or sys.exit("error: Node ended; what it said stands above"))
+    def ask(self, line):
+        print(line, file=self.process.stdin, flush=True)
+        answer = self.process.stdout.readline().strip()
+        if not answer or answer.startswith("error"):
+            sys.exit(answer or f"error: {self.process.args[0]} ended; what it said stands above")
+        return answer
 
-    def prepare(self, case):
-        self.ask("prepare", self.names.index(case))
+    def seconds(self):
+        with open(f"/proc/{self.process.pid}/schedstat") as spent:
+            return int(spent.read().split()[0]) / 1e9
 
     def run(self, count):
-        digest, seconds = self.ask("run", count)
-        return seconds / count, digest
+        start = self.seconds()
+        self.digest = self.ask(f"run {count}")
+        return (self.seconds() - start) / count
 
 
 def quartiles(values):
@@ -338,9 +309,9 @@ def quartiles(values):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("library", help="the built library of updates")
+    parser.add_argument("program", help="the built example `updates`")
     parser.add_argument("--rounds", type=int, default=101, help="at least 2; default: 101")
-    others = "contenders: jax, pytorch, NAME=PATH of a library or a .wasm module; default: jax pytorch"
+    others = "contenders: jax, pytorch, NAME=PATH of another build, native or .wasm; default: jax pytorch"
     parser.add_argument("--with", dest="others", action="append", metavar="OTHER", help=others)
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; all without")
     arguments = parser.parse_intermixed_args()
@@ -349,30 +320,30 @@ def main():
     asked = arguments.others or ["jax", "pytorch"]
     if jax is None and {"jax", "pytorch"} & set(asked):
         sys.exit(f"error: {MISSING}; install core/benches/compare/requirements.txt, or leave jax and pytorch out by --with")
-    own = {"mcvl": Library(arguments.library)}
+    own = {"mcvl": Mcvl(arguments.program)}
     for other in asked:
         name, _, path = other.partition("=")
         if name in own or (not path and name not in ("jax", "pytorch")):
             parser.error(f"--with {other}: one of jax, pytorch and NAME=PATH, each name once")
         if path:
-            own[name] = (Module if path.endswith(".wasm") else Library)(path)
+            own[name] = Mcvl(path)
     model = next((line.split(": ")[1].strip() for line in open("/proc/cpuinfo") if line.startswith("model name")), "?")
     versions = f", JAX {jax.__version__}, PyTorch {torch.__version__}" if jax else ""
     for case in arguments.cases:
-        if case not in CASES or any(case not in it.names for it in own.values()):
+        if case not in CASES or any(case not in it.cases for it in own.values()):
             parser.error(f"{case} is no case of all contenders; cases: {', '.join(CASES)}")
     print(f"{model}; Python {sys.version.split()[0]}{versions}; one core; {arguments.rounds} rounds")
-    for case in arguments.cases or [case for case in own["mcvl"].names if case in CASES]:
+    for case in arguments.cases or [case for case in own["mcvl"].cases if case in CASES]:
         width = CASES[case]
         # Updates of a turn: some hundredths of a second.
         turn, slow = (4, 4) if width is None else (200, 20)
-        contenders = {name: (lambda count, it=it: it.run(count)[0], turn) for name, it in own.items()}
+        contenders = {name: (it.run, turn) for name, it in own.items()}
         if "jax" in asked:
             contenders["JAX scan"] = (jax_td3() if width is None else jax_ddqn(width), turn)
         if "pytorch" in asked:
             contenders["PyTorch eager"] = (torch_td3() if width is None else torch_ddqn(width), slow)
         for it in own.values():
-            it.prepare(case)
+            it.ask(f"prepare {case}")
         for run, count in contenders.values():
             run(2 * count)
             run(count)
@@ -380,7 +351,7 @@ def main():
         for _ in range(arguments.rounds):
             for name, (run, count) in random.sample(sorted(contenders.items()), len(contenders)):
                 times[name].append(1e6 * run(count))
-        digests = {name: it.run(1)[1] for name, it in own.items()}
+        digests = {name: it.digest for name, it in own.items()}
         assert len(set(digests.values())) == 1, f"the same losses from {digests}"
         print(case)
         for name, values in times.items():

@@ -119,8 +119,8 @@ pub struct Td3<const N: usize> {
 struct Work {
     scratch: Scratch,
     critic: Scratch,
-    gradient: Gradient,
-    actor_params_gradient: Gradient,
+    critic_gradient: Gradient,
+    actor_gradient: Gradient,
     states: Rows,
     pairs: Rows,
     next_pairs: Rows,
@@ -130,7 +130,8 @@ struct Work {
     next: Vec<u32>,
     targets: Vec<f32>,
     output_gradient: Buffer,
-    actor_gradient: Buffer,
+    /// Of the loss, by the outputs of the actor.
+    action_gradient: Buffer,
 }
 
 impl<const N: usize> Td3<N> {
@@ -335,25 +336,16 @@ impl<const N: usize> Td3<N> {
 
     /// One step of the actor on −mean Q₁(s, π(s)); its target follows.
     fn improve(&mut self, batch: &Minibatch<Continuous<N>>, work: &mut Work) {
-        let Work {
-            scratch,
-            critic,
-            actor_params_gradient: gradient,
-            states,
-            pairs,
-            output_gradient,
-            actor_gradient,
-            ..
-        } = work;
+        let Work { scratch, critic, actor_gradient, states, pairs, output_gradient, action_gradient, .. } = work;
         states.clear(self.observation);
         batch.state.iter().for_each(|&row| states.push_row(&batch.rows, row as usize));
         let outputs = self.actor.live.forward(states, scratch);
         pairs.clear(self.pair_spec());
-        let actor_gradient = actor_gradient.at_least(batch.len() * N);
+        let action_gradient = action_gradient.at_least(batch.len() * N);
         for (row, output) in outputs.chunks_exact(N).enumerate() {
             let action = Continuous::<N>(core::array::from_fn(|i| self.squash(output[i])));
             pairs.push_pair(states, row, action.encoded());
-            for (slope, x) in actor_gradient[row * N..(row + 1) * N].iter_mut().zip(output) {
+            for (slope, x) in action_gradient[row * N..(row + 1) * N].iter_mut().zip(output) {
                 let tanh = libm::tanhf(*x);
                 *slope = self.half() * (1.0 - tanh * tanh);
             }
@@ -363,11 +355,11 @@ impl<const N: usize> Td3<N> {
         let output_gradient = output_gradient.at_least(batch.len());
         output_gradient.fill(-1.0 / batch.len() as f32);
         let slopes = q.input_gradient(batch.len(), output_gradient, self.observation.width, critic);
-        for (x, slope) in actor_gradient.iter_mut().zip(slopes) {
+        for (x, slope) in action_gradient.iter_mut().zip(slopes) {
             *x *= *slope;
         }
-        self.actor.live.backward(states, batch.len(), actor_gradient, scratch, gradient);
-        self.actor.step(gradient, Some(self.config.tau));
+        self.actor.live.backward(states, batch.len(), action_gradient, scratch, actor_gradient);
+        self.actor.step(actor_gradient, Some(self.config.tau));
     }
 }
 
@@ -408,8 +400,14 @@ impl<const N: usize> Agent for Td3<N> {
                 loss += value * share;
                 *slope = derivative * share;
             }
-            critic.live.backward(&work.pairs, batch.len(), output_gradient, &mut work.critic, &mut work.gradient);
-            critic.step(&work.gradient, tau);
+            critic.live.backward(
+                &work.pairs,
+                batch.len(),
+                output_gradient,
+                &mut work.critic,
+                &mut work.critic_gradient,
+            );
+            critic.step(&work.critic_gradient, tau);
         }
         if moves {
             self.improve(batch, &mut work);

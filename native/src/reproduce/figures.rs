@@ -147,8 +147,7 @@ pub static DRAWINGS: &[Drawing] = &[
 impl Drawing {
     /// The cells that it shows.
     pub fn cells(&self) -> Vec<&'static Cell> {
-        let cells = |rows: &'static Rows| std::iter::once(rows.main).chain(rows.curves.iter().map(|curve| curve.0));
-        unique(self.rows.iter().flat_map(cells))
+        unique(self.rows.iter().flat_map(Rows::cells))
     }
 
     /// The figure, as far as there are records; none without any.
@@ -191,6 +190,11 @@ impl Drawing {
 }
 
 impl Rows {
+    /// The cells that it shows, some perhaps twice.
+    fn cells(&self) -> impl Iterator<Item = &'static Cell> {
+        std::iter::once(self.main).chain(self.curves.iter().map(|curve| curve.0))
+    }
+
     /// Whether there is a curve of the checking learner.
     fn has_some(&self, records: &BTreeMap<String, Record>) -> bool {
         self.curves.iter().any(|(cell, ..)| records.contains_key(cell.name))
@@ -223,8 +227,8 @@ impl Rows {
             series.push(line(record, Arm::Mc, name, *look));
         }
         series.retain(|series| !series.points.is_empty());
-        let cells = std::iter::once(self.main).chain(self.curves.iter().map(|curve| curve.0));
-        let seeds = cells.filter_map(|cell| records.get(cell.name)).map(|record| record.seeds().len()).min();
+        let there = self.cells().filter_map(|cell| records.get(cell.name));
+        let seeds = there.map(|record| record.seeds().len()).min();
         let few = seeds.filter(|seeds| *seeds < many).map_or(String::new(), |seeds| format!(", {seeds} seeds"));
         Panel {
             title: format!("{}: {}{few}", self.title, name_of(quantity).to_lowercase()),

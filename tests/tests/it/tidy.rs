@@ -223,9 +223,7 @@ fn every_kernel_has_its_twin() {
 fn unsafe_code_has_one_place() {
     let begins = [" {", " fn", " impl", " trait", " extern", "("].map(|rest| format!("{}{rest}", "unsafe"));
     let found = violations(rust(&files(), ""), |file, line| {
-        // Names of a library that only a comparison loads.
-        let named = file.path == "core/benches/compare/updates.rs" && line.ends_with("(no_mangle)]");
-        file.path != "core/src/nn/isa.rs" && !named && begins.iter().any(|begin| line.contains(begin))
+        file.path != "core/src/nn/isa.rs" && begins.iter().any(|begin| line.contains(begin))
     });
     assert_none(&found, "unsafe stands only in core/src/nn/isa.rs, with its proof");
 }

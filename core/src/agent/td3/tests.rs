@@ -177,7 +177,7 @@ fn the_actors_gradient_matches_finite_differences() {
     let samples = transitions(5);
     agent.update(&batch(&samples), &mut Rng::new(0));
     // The first critic has not moved since the actor's backward pass.
-    let gradient = agent.work.actor_params_gradient.values().to_vec();
+    let gradient = agent.work.actor_gradient.values().to_vec();
     let critic = agent.critic(0);
     let loss = |actor: &Mlp| -> f64 {
         let values = samples.iter().map(|t| f64::from(q(critic, &t.observation, &pi(actor, &t.observation))));
