@@ -457,8 +457,8 @@ impl Run {
         self.inner.config()
     }
 
-    /// Does a bounded amount of work. Never blocks, sleeps, spawns or prints; the budget has no
-    /// influence on any result.
+    /// Does a bounded amount of work. Never blocks, sleeps, spawns or prints, unless a forecaster that it was given
+    /// does; the budget has no influence on any result.
     ///
     /// # Errors
     /// If training diverged. The run is then of no further use.

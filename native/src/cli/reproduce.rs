@@ -661,7 +661,7 @@ fn dry_run(
 fn expected_seconds(wanted: &Wanted, seeds: &[u64], arguments: &ReproduceArgs, speed: Speed) -> f64 {
     let (plan, threads) = (&wanted.plan, arguments.pace.threads());
     let Some(extent) = wanted.cell.extent(arguments.quick) else {
-        return speed.seconds(plan) * seeds.len().div_ceil(threads) as f64;
+        return speed.wall(plan, seeds.len(), threads);
     };
     let repeats = f64::from(extent.checks * extent.repeats * 2);
     let forecasts = repeats * 2.0 * f64::from(plan.config.forecast) / threads as f64;

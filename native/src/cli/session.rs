@@ -35,7 +35,7 @@ pub fn stop_on_signals() -> anyhow::Result<()> {
 /// Flags of whatever trains.
 #[derive(Args)]
 pub struct Pace {
-    /// Seeds at a time; no result depends on it [default: number of cores]
+    /// Threads: seeds at a time, two for a seed where seeds are fewer; no result depends on it [default: number of cores]
     #[arg(short, long, visible_alias = "threads", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
     /// Stop after this time with the state saved, like 90s, 10m, 2h
@@ -67,7 +67,7 @@ pub enum BackEnd {
 }
 
 impl Pace {
-    /// Seeds at a time.
+    /// Threads.
     pub fn threads(&self) -> usize {
         self.jobs.map_or_else(|| thread::available_parallelism().map_or(1, usize::from), usize::from)
     }
@@ -116,7 +116,7 @@ impl Pace {
 
 /// How a session works; no result depends on it.
 pub struct Manner {
-    /// Seeds at a time.
+    /// Threads, for seeds and for futures.
     pub threads: usize,
     /// A kill loses at most about this much work.
     pub checkpoint_every: Duration,

@@ -263,7 +263,7 @@ fn dry_run(arguments: &TrainArgs, plan: &Plan, terminal: &mut Terminal) -> anyho
         terminal.out,
         "# Here: about {live:.0} updates/s of a live learner, {forecast:.0} in forecasts (one core)."
     )?;
-    let time = rough(speed.seconds(plan) * plan.seeds.len().div_ceil(arguments.pace.threads()) as f64);
+    let time = rough(speed.wall(plan, plan.seeds.len(), arguments.pace.threads()));
     let rate = 100.0 * config.experiment().check_rate;
     writeln!(
         terminal.out,
@@ -309,11 +309,15 @@ impl Speed {
         Self { live, forecast: f64::max(updates, 1.0) / begun.elapsed().as_secs_f64() }
     }
 
-    /// Seconds that one seed of a plan is expected to take on one core.
-    pub fn seconds(&self, plan: &Plan) -> f64 {
+    /// Seconds that some seeds of a plan are expected to take on some threads.
+    pub fn wall(&self, plan: &Plan, seeds: usize, threads: usize) -> f64 {
         let live: f64 = plan.expected_updates(0.0).sum();
         let all: f64 = plan.expected_updates(expected_forecasts(&plan.config)).sum();
-        self.of(live, all - live)
+        let (rounds, last) = (seeds / threads, seeds % threads);
+        // Threads that are left over train one of the two futures of a check.
+        let shared = if 2 * last <= threads { 2.0 } else { 1.0 };
+        let rest = if last == 0 { 0.0 } else { self.of(live, (all - live) / shared) };
+        rounds as f64 * self.of(live, all - live) + rest
     }
 
     /// Seconds that so many updates take.

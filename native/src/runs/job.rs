@@ -1,6 +1,7 @@
 //! One seed of a run directory, from its beginning or a checkpoint to its end: Safe training, then each
 //! learner from the same switch.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use mcvl_core::config::{Config, Learner};
@@ -9,6 +10,7 @@ use mcvl_core::run::{Budget, Progress, Run, RunError, Status};
 
 use super::checkpoint::Checkpoint;
 use super::pool::{Control, Remote};
+use super::side_by_side::{self, Idle};
 use super::write::{SeedWriter, check_logs, write_weights};
 use super::{RunsError, SeedDir, read};
 use crate::gpu::Seat;
@@ -127,11 +129,12 @@ impl ReadyJob {
         if self.is_finished() { Ending::Finished } else { Ending::Interrupted }
     }
 
-    /// Opens its files and makes or takes up its run, whose forecasts go to `remote` where there is one that has them.
+    /// Opens its files and makes or takes up its run, whose forecasts go to `remote` where there is one that has them,
+    /// and otherwise to `idle` threads, too.
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub fn open(self, remote: Option<Remote>) -> Result<OpenJob, RunsError> {
+    pub fn open(self, remote: Option<Remote>, idle: Arc<Idle>) -> Result<OpenJob, RunsError> {
         let job = self.job;
         let (run, finished, switch, writer) = match self.start {
             Start::Beginning => {
@@ -146,8 +149,8 @@ impl ReadyJob {
             // Not asked for: there is nothing to do.
             Start::Finished => return Err(RunsError::Request(format!("seed {} is finished", job.config.seed))),
         };
-        let mut open = OpenJob { job, run, finished, switch, writer, remote, seat: None, saved: Instant::now() };
-        open.take_seat();
+        let mut open = OpenJob { job, run, finished, switch, writer, remote, seat: None, idle, saved: Instant::now() };
+        open.equip();
         Ok(open)
     }
 }
@@ -163,6 +166,7 @@ pub struct OpenJob {
     writer: SeedWriter,
     remote: Option<Remote>,
     seat: Option<Seat>,
+    idle: Arc<Idle>,
     saved: Instant,
 }
 
@@ -176,8 +180,12 @@ pub enum Pause {
 }
 
 impl OpenJob {
-    fn take_seat(&mut self) {
+    /// Says who trains the futures: a device where there is one that can, and the threads of this program otherwise.
+    fn equip(&mut self) {
         self.seat = self.remote.as_ref().and_then(|remote| remote.gpu().equip(&mut self.run));
+        if self.seat.is_none() && !side_by_side::equip(&mut self.run, &self.idle) {
+            self.run.forecast_here();
+        }
     }
 
     /// Works until the job is finished, has to wait, or `control` says stop.
@@ -213,8 +221,8 @@ impl OpenJob {
             let status = match self.run.poll(BUDGET, &mut Tee { writer: &mut self.writer, watcher }) {
                 Ok(status) => status,
                 Err(RunError::Forecast(why)) if self.remote.as_ref().is_some_and(|remote| remote.falls_back(&why)) => {
-                    self.run.forecast_here();
-                    (self.remote, self.seat) = (None, None);
+                    self.remote = None;
+                    self.equip();
                     continue;
                 }
                 Err(source) => {
@@ -254,7 +262,7 @@ impl OpenJob {
             *run = fork.ok_or_else(|| RunsError::damaged(&job.dir.switch(), "does not stand at the switch"))?;
         }
         Checkpoint::write(&job.dir.state(), *finished, &logs, run)?;
-        self.take_seat();
+        self.equip();
         Ok(())
     }
 }

@@ -23,6 +23,7 @@ mod manifest;
 mod plan;
 mod pool;
 mod read;
+pub(crate) mod side_by_side;
 mod tape;
 mod verify;
 mod write;

@@ -12,6 +12,7 @@ use mcvl_core::run::Progress;
 
 use super::RunsError;
 use super::job::{Ending, OpenJob, Pause, ReadyJob, Watcher};
+use super::side_by_side::Idle;
 use crate::gpu::Gpu;
 
 /// How often the caller is told how things stand.
@@ -120,6 +121,8 @@ enum Stage {
 /// Works on `jobs` with `threads` threads; `tick` is called with the state of all of them every tenth of
 /// a second and once at the end. Outcomes are in the order of the jobs.
 ///
+/// Without a remote, threads that find no job train futures of the jobs under way.
+///
 /// With a `remote` all jobs are open at once: a thread whose job waits for the device goes on with another one, so the
 /// device has the forecasts of all of them together.
 pub fn train(
@@ -127,11 +130,24 @@ pub fn train(
     threads: usize,
     remote: Option<&Remote>,
     control: &Control,
+    tick: impl FnMut(&[SeedView]),
+) -> Vec<Outcome> {
+    work(jobs, threads, remote, control, &Arc::default(), tick)
+}
+
+/// The same, with the place where `idle` threads are found.
+fn work(
+    jobs: Vec<ReadyJob>,
+    threads: usize,
+    remote: Option<&Remote>,
+    control: &Control,
+    idle: &Arc<Idle>,
     mut tick: impl FnMut(&[SeedView]),
 ) -> Vec<Outcome> {
     let views: Vec<Mutex<SeedView>> = jobs.iter().map(|job| Mutex::new(SeedView::new(job))).collect();
     let seeds: Vec<u64> = jobs.iter().map(ReadyJob::seed).collect();
-    let threads = threads.clamp(1, jobs.len().max(1));
+    let workers = threads.clamp(1, jobs.len().max(1));
+    (workers..threads).for_each(|_| idle.add());
     let results: Vec<Mutex<Option<Result<Ending, RunsError>>>> = jobs.iter().map(|_| Mutex::new(None)).collect();
     let unfinished = AtomicUsize::new(jobs.len());
     let entries = jobs.into_iter().enumerate().map(|(index, job)| Entry { index, job: Stage::Ready(Box::new(job)) });
@@ -139,7 +155,7 @@ pub fn train(
     let (alive, all_gone) = mpsc::channel::<()>();
     let look = |views: &[Mutex<SeedView>]| -> Vec<SeedView> { views.iter().map(SeedView::take).collect() };
     thread::scope(|scope| {
-        for _ in 0..threads {
+        for _ in 0..workers {
             let (queue, results, views, alive) = (&queue, &results, &views, alive.clone());
             let unfinished = &unfinished;
             scope.spawn(move || {
@@ -155,7 +171,7 @@ pub fn train(
                         remote.gpu.wait(PATIENCE);
                         continue;
                     };
-                    let result = match step(job, remote, control, &mut &views[index]) {
+                    let result = match step(job, remote, idle, control, &mut &views[index]) {
                         Ok(Left::Waiting(open)) => {
                             lock(queue).push_back(Entry { index, job: Stage::Open(open) });
                             waiting += 1;
@@ -182,6 +198,7 @@ pub fn train(
                     // Not below the zero of an alarm.
                     let _ = unfinished.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
                 }
+                idle.add();
                 drop(alive);
             });
         }
@@ -213,10 +230,16 @@ enum Left {
 }
 
 /// Works on a job until it ends or has to wait.
-fn step(job: Stage, remote: Option<&Remote>, control: &Control, watcher: &mut dyn Watcher) -> Result<Left, RunsError> {
+fn step(
+    job: Stage,
+    remote: Option<&Remote>,
+    idle: &Arc<Idle>,
+    control: &Control,
+    watcher: &mut dyn Watcher,
+) -> Result<Left, RunsError> {
     let mut open = match job {
         Stage::Ready(job) if job.is_finished() || control.stopped() => return Ok(Left::Ended(job.untouched())),
-        Stage::Ready(job) => Box::new((*job).open(remote.cloned())?),
+        Stage::Ready(job) => Box::new((*job).open(remote.cloned(), idle.clone())?),
         Stage::Open(open) => open,
     };
     Ok(match open.work(control, watcher)? {
@@ -263,5 +286,34 @@ impl Watcher for &Mutex<SeedView> {
             Event::Check(check) => lock(self).decisions.push(CheckRecord::clone(check)),
             _ => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::runs::{Job, RunDir};
+    use mcvl_core::config::Learner;
+
+    #[test]
+    fn threads_without_a_job_train_futures() {
+        static STOP: AtomicBool = AtomicBool::new(false);
+        let folder = mcvl_tests::scratch();
+        let given = |jobs: &[u32], threads| {
+            let text =
+                "env=box-moving safe_steps=60 hidden=8 forecast=10 exploration=40 rollouts=1 scheme=all evaluations=1";
+            let ready = jobs.iter().zip(0..).map(|(steps, seed)| {
+                let config = format!("{text} full_steps={steps} seed={seed}").parse().unwrap();
+                let dir = RunDir::new(&folder.path().join(format!("{jobs:?}-{threads}"))).seed(seed);
+                Job { config, learners: vec![Learner::Mc], dir }.ready()
+            });
+            let (control, idle) = (Control::new(Duration::from_secs(60), &STOP, None), Arc::default());
+            let outcomes = work(ready.collect(), threads, None, &control, &idle, |_| {});
+            assert!(outcomes.iter().all(|outcome| matches!(outcome.result, Ok(Ending::Finished))), "{outcomes:?}");
+            idle.given()
+        };
+        assert_eq!(given(&[40], 1), 0);
+        assert!(given(&[40], 2) >= 40, "from the beginning");
+        assert!(given(&[10, 400], 2) >= 100, "from the end of the other job on");
     }
 }

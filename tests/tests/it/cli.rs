@@ -414,7 +414,9 @@ fn the_number_of_threads_changes_no_byte() {
     let folder = finished();
     ok(folder.path(), "train box-moving --quick --seeds 0,3 -j 1 -o one");
     ok(folder.path(), "train box-moving --quick --seeds 0,3 -j 2 -o two");
+    ok(folder.path(), "train box-moving --quick --seeds 0,3 -j 4 -o four");
     assert_same(&folder.path().join("one"), &folder.path().join("two"));
+    assert_same(&folder.path().join("one"), &folder.path().join("four"));
     assert_same(&folder.path().join("one"), &folder.path().join("run"));
 }
 

@@ -20,6 +20,7 @@ use mcvl_core::run::Budget;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use super::*;
+use crate::runs::side_by_side::{Idle, SideBySide};
 use crate::runs::{self, Control, Ending, Job, Remote, RunDir, RunsError};
 
 /// A device for a test, where there is one. Says so where there is none, or fails where one is required.
@@ -228,6 +229,9 @@ fn keeps_the_contract(mut make: impl FnMut() -> Box<dyn Forecaster<Trapped, Ddqn
 #[test]
 fn every_back_end_keeps_the_contract() {
     keeps_the_contract(|| Box::new(CpuForecaster::default()));
+    let idle = Arc::new(Idle::default());
+    idle.add();
+    keeps_the_contract(|| Box::new(SideBySide::new(idle.clone())));
     let Some(gpu) = device() else { return };
     keeps_the_contract(|| Box::new(forecaster(&gpu)));
 }
@@ -348,7 +352,7 @@ fn train(folder: &Path, remote: Option<&Remote>, resume: bool) -> Result<Ending,
     let job = Job { config, learners: vec![Learner::Baseline, Learner::Mc], dir };
     let job = if resume { job.resume()? } else { job.ready() };
     let control = Control::new(Duration::from_secs(60), &STOP, None);
-    runs::train(vec![job], 1, remote, &control, |_| {}).remove(0).result
+    runs::train(vec![job], 2, remote, &control, |_| {}).remove(0).result
 }
 
 #[test]
