@@ -219,7 +219,7 @@ fn repeated_checks_are_measured_and_resumed() {
     let folder = scratch();
     let folder = folder.path();
     let command = "reproduce E15 --quick --only absent-spread";
-    let answer = ask(folder, &format!("{command} -o cut --max-time 1s"));
+    let answer = ask(folder, &format!("{command} -o cut --max-time 300ms"));
     assert!([0, 130].contains(&answer.code), "{}", answer.stderr);
     for set in ["straight", "cut"] {
         let said = ok(folder, &format!("{command} -o {set}"));
