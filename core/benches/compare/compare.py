@@ -4,7 +4,8 @@
     pip install -r core/benches/compare/requirements.txt
     python core/benches/compare/compare.py target/release/examples/updates [--rounds N] [CASE ...]
 
-And as the page's module computes it (needs Node, and nothing of Python's packages):
+And as the page's module computes it (needs Node, and nothing of Python's packages; engines differ by a
+sixth to a third, so take a Node whose V8 is that of the browsers in question):
 
     rustup target add wasm32-wasip1
     RUSTFLAGS=-Ctarget-feature=+simd128 cargo build --profile web -p mcvl-core --example updates \\
@@ -281,7 +282,8 @@ class Mcvl:
     def __init__(self, path):
         # The optimising compiler at once: what remains after some seconds of a page.
         node = ["node", "--no-warnings", "--no-wasm-tier-up", "--no-liftoff", "-e", NODE]
-        command = [*node, path] if path.endswith(".wasm") else [os.path.abspath(path)]
+        self.wasm = path.endswith(".wasm")
+        command = [*node, path] if self.wasm else [os.path.abspath(path)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.cases = self.ask("cases").split()
 
@@ -329,6 +331,9 @@ def main():
             own[name] = Mcvl(path)
     model = next((line.split(": ")[1].strip() for line in open("/proc/cpuinfo") if line.startswith("model name")), "?")
     versions = f", JAX {jax.__version__}, PyTorch {torch.__version__}" if jax else ""
+    if any(it.wasm for it in own.values()):
+        engine = "`Node ${process.versions.node} (V8 ${process.versions.v8})`"
+        versions += ", " + subprocess.run(["node", "-p", engine], capture_output=True, text=True).stdout.strip()
     for case in arguments.cases:
         if case not in CASES or any(case not in it.cases for it in own.values()):
             parser.error(f"{case} is no case of all contenders; cases: {', '.join(CASES)}")
