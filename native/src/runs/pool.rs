@@ -304,7 +304,7 @@ mod tests {
                 "env=box-moving safe_steps=60 hidden=8 forecast=10 exploration=40 rollouts=1 scheme=all evaluations=1";
             let ready = jobs.iter().zip(0..).map(|(steps, seed)| {
                 let config = format!("{text} full_steps={steps} seed={seed}").parse().unwrap();
-                let dir = RunDir::new(&folder.path().join(format!("{jobs:?}-{threads}"))).seed(seed);
+                let dir = RunDir::new(folder.path().join(format!("{jobs:?}-{threads}"))).seed(seed);
                 Job { config, learners: vec![Learner::Mc], dir }.ready()
             });
             let (control, idle) = (Control::new(Duration::from_secs(60), &STOP, None), Arc::default());
