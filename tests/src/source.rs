@@ -6,7 +6,9 @@ use std::path::Path;
 use crate::root;
 
 /// Folders that are made, not written.
-const MADE: &[&str] = &["target", "runs", "third_party", "node_modules", "pkg"];
+const MADE: &[&str] = &["target", "third_party", "node_modules", "pkg"];
+/// ... at the root; elsewhere there are rooms of this name.
+const MADE_AT_ROOT: &str = "runs";
 /// Hidden folders that belong to the repository.
 const HIDDEN: &[&str] = &[".cargo", ".ci", ".config"];
 
@@ -68,7 +70,8 @@ fn collect(folder: &Path, found: &mut Vec<SourceFile>) {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if path.is_dir() {
             let hidden = name.starts_with('.') && !HIDDEN.contains(&name.as_str());
-            if !hidden && !MADE.contains(&name.as_str()) {
+            let made = MADE.contains(&name.as_str()) || path == root().join(MADE_AT_ROOT);
+            if !hidden && !made {
                 collect(&path, found);
             }
         } else if name == ".git" {
