@@ -47,7 +47,7 @@ pub struct ReproduceArgs {
     /// What to reproduce [default: all]
     #[arg(value_name = "TARGET")]
     targets: Vec<String>,
-    /// Fewer seeds, and a tenth of the steps where a seed takes minutes: not the paper's setting
+    /// Fewer seeds, and a tenth or less of the steps where a seed takes minutes: not the paper's setting
     #[arg(long)]
     quick: bool,
     /// Seeds of every cell: 0..10 (the end is left out) or 1,5,9 [default: 0..10]

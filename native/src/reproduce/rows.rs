@@ -498,7 +498,8 @@ const ALIVE: &str = "-alive";
 
 /// What has to be said of a quick set.
 pub const QUICK: &str = "Quick: fewer seeds than the paper's ten, and in every world but Box Moving a tenth of the \
-    steps and forecast updates, in Reacher a twentieth. This is not the paper's setting: a claim that does not hold here may hold there.";
+    steps and forecast updates, in Reacher a twentieth. This is not the paper's setting: a claim that does not hold \
+    here may hold there.";
 
 /// A field of a CSV file.
 fn csv(text: &str) -> String {

@@ -791,10 +791,10 @@ mod tests {
 
     #[test]
     fn quick_shortens_everything_by_one_factor() {
-        let (full, quick) = (ROCKS.settings(false).unwrap(), ROCKS.settings(true).unwrap());
-        // Nothing is rounded away.
-        assert_eq!(quick.safe_steps * QUICK_PART[0], full.safe_steps);
-        assert_eq!(quick.practice_reward_updates * QUICK_PART[0], full.practice_reward_updates);
-        assert_eq!(BOX.settings(true).unwrap(), BOX.settings(false).unwrap());
+        for (cell, part) in [(&BOX, 1), (&ROCKS, QUICK_PART[0]), (&REACHER, QUICK_PART[1])] {
+            let (full, quick) = (cell.settings(false).unwrap(), cell.settings(true).unwrap());
+            let steps = [quick.safe_steps, quick.practice_reward_updates].map(|steps| part * steps);
+            assert_eq!(steps, [full.safe_steps, full.practice_reward_updates], "nothing is rounded away");
+        }
     }
 }
