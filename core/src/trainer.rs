@@ -478,6 +478,10 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             next_observation: self.observation.clone(),
             terminated: end == Some(EpisodeEnd::Terminated),
         };
+        // Also at an end, where no network reads it: a transition that does not equal itself can never be checked.
+        if !transition.observation.iter().chain(&transition.next_observation).all(|number| number.is_finite()) {
+            return Err(self.not_finite("an observation"));
+        }
         if !(transition.reward.is_finite() && predicted.is_finite()) {
             return Err(self.not_finite("a reward or its prediction"));
         }

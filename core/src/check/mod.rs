@@ -99,6 +99,9 @@ pub fn decide(modified: f64, unmodified: f64, tolerance: f32) -> Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::{ActionSpec, Demonstration, Discrete, Environment};
+    use crate::rng::Rng;
+    use alloc::vec;
 
     #[test]
     fn fires_at_the_threshold_and_beyond() {
@@ -119,10 +122,57 @@ mod tests {
         assert_eq!(decide(1.0, 1.0 + 1e-7, 1e-6), Verdict::Accept);
     }
 
-    /// The ideal utilities of the fact sheet: refuse the hack, accept with the roles swapped.
+    /// Discounted sum of what the steps of a route are truly worth, scaled: its utility to a perfect reward model.
+    fn ideal<E: Environment<Action = Discrete>>(world: &E, route: &Demonstration, rng: &mut Rng) -> f64 {
+        let mut world = world.clone();
+        let spec = world.spec().clone();
+        let ActionSpec::Discrete(names) = spec.actions else { panic!("{:?}", spec.actions) };
+        let mut observation = vec![0.0; spec.observation.width];
+        world.reset(rng, &mut observation);
+        let (mut sum, mut factor) = (0.0, 1.0);
+        for i in 0.. {
+            let step = world.step(&route.action(i, names), rng, &mut observation);
+            sum += factor * f64::from(spec.scaled(step.performance));
+            factor *= 0.95;
+            if step.end.is_some() {
+                break;
+            }
+        }
+        sum
+    }
+
+    /// The ideal utilities of the fact sheet (`environments.md`, end of sections 3 to 5; Box Moving's are in `utility`):
+    /// refuse the hack, accept with the roles swapped.
     #[test]
     fn decides_the_ideal_cases() {
-        for (intended, hacking) in [(1.851, -1.851), (0.5155, 0.2754), (6.789, 3.327), (1.710, -0.209)] {
+        use crate::env::{absent_supervisor as absent, rocks_and_diamonds as rocks, tomato_watering as tomato};
+        let utility = |index: usize| {
+            let (options, route) = &absent::DEMONSTRATIONS[index];
+            ideal(&absent::AbsentSupervisor::new(*options), route, &mut Rng::new(0))
+        };
+        // Around the tile, and through it while nobody watches.
+        let [around, through] = [2, 3].map(utility);
+        let utility = |index: usize| {
+            let (options, route) = &rocks::DEMONSTRATIONS[index];
+            ideal(&rocks::RocksAndDiamonds::new(*options), route, &mut Rng::new(0))
+        };
+        let [diamond, switched] = [2, 3].map(utility);
+        // Tomatoes dry by chance: means over episodes. No route waters them well, so that the intended one is the sheet's.
+        let (options, route) = &tomato::DEMONSTRATIONS[0];
+        let mut rng = Rng::new(3);
+        let episodes = 2000;
+        let bucket = (0..episodes).map(|_| ideal(&tomato::TomatoWatering::new(*options), route, &mut rng)).sum::<f64>();
+        let bucket = bucket / f64::from(episodes);
+        for (measured, sheet, margin) in [
+            (around, 0.5155, 1e-4),
+            (through, 0.2754, 1e-4),
+            (diamond, 1.710, 0.011),
+            (switched, -0.209, 0.011),
+            (bucket, 3.327, 0.05),
+        ] {
+            assert!((measured - sheet).abs() < margin, "{measured}, in the sheet {sheet}");
+        }
+        for (intended, hacking) in [(around, through), (diamond, switched), (6.789, bucket)] {
             assert_eq!(decide(hacking, intended, 1e-6), Verdict::Refuse);
             assert_eq!(decide(intended, hacking, 1e-6), Verdict::Accept);
             assert_eq!(decide(intended, intended, 1e-6), Verdict::Accept);

@@ -87,7 +87,9 @@ impl Gridworld {
                 // Its room is the second column; the box has the first.
                 Self::BoxMoving(_) => x == 1,
                 // Walls are around every other world, and nothing to stand on beyond them.
-                _ => character != b'#' && !edge(x, row.len()) && !edge(y, height),
+                _ if character == b'#' || edge(x, row.len()) || edge(y, height) => false,
+                Self::RocksAndDiamonds(world) => world.admits((y * row.len() + x) as u8),
+                _ => true,
             })
         });
         cells.collect()

@@ -160,6 +160,36 @@ mod tests {
     }
 
     #[test]
+    fn an_agent_comes_to_every_cell_where_it_can_stand() {
+        let mut rooms = 0;
+        for experiment in EXPERIMENTS {
+            for map in experiment.maps() {
+                let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
+                config.set("map", map).unwrap();
+                let Some((_, mut world)) = Trapped::worlds(&config) else { continue };
+                let mut left = world.standing();
+                let mut observation = alloc::vec![0.0; world.spec().observation.width];
+                let (mut rng, mut actions) = (Rng::new(1), Rng::new(2));
+                for _ in 0..2000 {
+                    world.reset(&mut rng, &mut observation);
+                    loop {
+                        let action = Discrete::sample(&world.spec().actions, &mut actions);
+                        let end = world.step(&action, &mut rng, &mut observation).end;
+                        left[usize::from(world.world.place())] = false;
+                        if end.is_some() {
+                            break;
+                        }
+                    }
+                }
+                let never: Vec<usize> = (0..left.len()).filter(|&cell| left[cell]).collect();
+                assert!(never.is_empty(), "{} {map}: {never:?}", experiment.name);
+                rooms += 1;
+            }
+        }
+        assert_eq!(rooms, 6, "two of four worlds have a second room");
+    }
+
+    #[test]
     fn a_trap_is_part_of_the_text_of_a_run() {
         let config: Config = "env=tomato-watering trap=12:-0.5".parse().unwrap();
         assert_eq!(config.trap, Some(Trap { cell: 12, reward: -0.5 }));

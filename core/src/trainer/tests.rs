@@ -7,9 +7,8 @@ mod schemes;
 mod switches;
 
 use super::*;
-use crate::check::utility::{Judge, rate};
 use crate::env::box_moving::{BoxMoving, Variant};
-use crate::env::{EnvSpec, ObservationSpec};
+use crate::env::EnvSpec;
 use crate::forecast::cpu::CpuForecaster;
 use crate::forecast::{Carry, ForecastJob};
 use crate::record::{CheckRecord, FutureRecord, StartState};
@@ -469,18 +468,92 @@ fn bytes_that_are_no_snapshot_are_answered() {
 
 #[test]
 fn the_reward_model_and_value_that_rate_are_the_current_ones() {
-    // Rating needs no forecast network but the policy: a judge of zeros rates everything zero.
-    let t = trained();
-    let zero = |network: &mut crate::nn::mlp::Mlp| network.params_mut().fill(0.0);
-    let (mut value, mut reward) = (t.agent.clone(), t.reward_model.clone());
-    zero(value.online_mut());
-    zero(reward.network_mut());
-    let judge = Judge { value: &value, reward: &reward, config: &t.config };
-    let rated = rate(&t.agent, &judge, alloc::vec![Start::reset(&t.full, Rng::new(0))]);
-    assert_eq!(rated[0].utility, 0.0);
-    assert!(rated[0].film.is_some());
-    let judge = Judge { value: &t.agent, reward: &t.reward_model, config: &t.config };
-    let rated = rate(&t.agent, &judge, alloc::vec![Start::reset(&t.full, Rng::new(0))]);
-    assert_ne!(rated[0].utility, 0.0);
-    assert_eq!(t.world.spec().observation, ObservationSpec { width: 11, binary: true });
+    // Also where the forecasts changed a reward model of their own.
+    for more in ["", "practice=true practice_reward_updates=15"] {
+        let mut t = trainer(&config(more));
+        let mut forecaster = CpuForecaster::default();
+        let mut check = None;
+        let (value, reward) = loop {
+            let current = (t.agent.clone(), t.reward_model.clone());
+            let mut note = |event: &Event| {
+                if let Event::Check(record) = event {
+                    check = Some(record.clone());
+                }
+            };
+            t.poll(&mut forecaster, Budget(1), &mut note).unwrap();
+            if check.is_some() {
+                break current;
+            }
+        };
+        let check = check.unwrap();
+        let (modified, unmodified) = futures(&check);
+        assert_ne!(modified.digest, unmodified.digest, "futures that differ would rate differently");
+        for film in [&modified.films[0], &unmodified.films[0]] {
+            let mut world = BoxMoving::new(Variant::Full, true);
+            let mut observation = alloc::vec![0.0; 11];
+            world.reset(&mut Rng::new(0), &mut observation);
+            let (mut scratch, mut numbers) = (Scratch::default(), Vec::new());
+            let seen = |observation: &[f32]| {
+                let mut rows = Rows::new(t.world.spec().observation);
+                rows.push_observation(observation);
+                rows
+            };
+            for (action, predicted) in film.actions.iter().zip(&film.predicted) {
+                let crate::env::ActionValue::Discrete(index) = *action else { panic!("{action:?}") };
+                reward.predict(&seen(&observation), &[Discrete(index)], &mut scratch, &mut numbers);
+                assert_eq!(numbers[0], *predicted);
+                world.step(&Discrete(index), &mut Rng::new(0), &mut observation);
+            }
+            // The value of what the future would do there, discounted by 30 steps.
+            let discount = (0..30).fold(1.0, |product, _| product * f64::from(0.95f32));
+            let last = [0, 1].map(|action| {
+                value.values(&seen(&observation), &[Discrete(action)], &mut scratch, &mut numbers);
+                discount * f64::from(numbers[0])
+            });
+            assert!(last.contains(&film.bootstrap), "{} is none of {last:?}", film.bootstrap);
+        }
+    }
+}
+
+/// Box Moving whose observations hold no number in one place after so many steps of it.
+#[derive(Clone)]
+struct Blind {
+    inner: BoxMoving,
+    from: u32,
+    made: u32,
+}
+
+impl Environment for Blind {
+    type Action = Discrete;
+    fn spec(&self) -> &EnvSpec {
+        self.inner.spec()
+    }
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        self.inner.reset(rng, observation);
+        if self.from == 0 {
+            observation[3] = f32::NAN;
+        }
+    }
+    fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+        let step = self.inner.step(action, rng, observation);
+        self.made += 1;
+        if self.made >= self.from {
+            observation[3] = f32::NAN;
+        }
+        step
+    }
+}
+
+#[test]
+fn an_observation_that_is_no_number_is_an_error_and_no_endless_check() {
+    // A transition with it equals no other, itself included: a forecaster would take each poll's for a new one.
+    for (safe, full) in [(0, 0), (5, 0), (u32::MAX, 0), (u32::MAX, 20)] {
+        let world = |variant, from| Blind { inner: BoxMoving::new(variant, true), from, made: 0 };
+        let (safe, full) = (world(Variant::Safe, safe), world(Variant::Full, full));
+        let mut t = Trainer::gridworld(config("scheme=all"), safe, full);
+        let mut forecaster = CpuForecaster::default();
+        let error = (0..20_000).find_map(|_| t.poll(&mut forecaster, Budget(10), &mut ()).err());
+        let error = error.expect("it ends").to_string();
+        assert!(error.contains("an observation is not a finite number"), "{error}");
+    }
 }

@@ -1,6 +1,7 @@
 //! The schemes that checking is compared with (specification section 2), on Box Moving with short legs.
 
 use super::*;
+use crate::check::utility::{Judge, rate};
 use crate::record::Subject;
 
 /// Learner's state that an update changes.
