@@ -7,8 +7,8 @@ mod schemes;
 mod switches;
 
 use super::*;
-use crate::env::box_moving::{BoxMoving, Variant};
 use crate::env::EnvSpec;
+use crate::env::box_moving::{BoxMoving, Variant};
 use crate::forecast::cpu::CpuForecaster;
 use crate::forecast::{Carry, ForecastJob};
 use crate::record::{CheckRecord, FutureRecord, StartState};

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use mcvl::report::claims::plural;
 use mcvl::report::film;
 use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State};
 use mcvl::worlds;
@@ -152,9 +153,11 @@ pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result
     }
     for run in seeds {
         let checks: Vec<&CheckRecord> = run.checks.iter().filter(shown).collect();
-        let (count, wrong) = (checks.len(), checks.iter().filter(|check| check.wrong()).count());
-        let refused = checks.iter().filter(|check| check.verdict == Verdict::Refuse).count();
-        let title = format!("seed {}: {count} checks, {refused} refused, {wrong} wrong", run.seed);
+        let (count, wrong) = (run.checks.len(), run.checks.iter().filter(|check| check.wrong()).count());
+        let refused = run.checks.iter().filter(|check| check.verdict == Verdict::Refuse).count();
+        let some = if checks.len() < count { format!("; {} shown", checks.len()) } else { String::new() };
+        let count = plural(count as u64, "check");
+        let title = format!("seed {}: {count}, {refused} refused, {wrong} wrong{some}", run.seed);
         writeln!(terminal.out, "{}", terminal.paint(1, title))?;
         for check in checks {
             let color = if check.verdict == Verdict::Refuse { 31 } else { 32 };
@@ -229,13 +232,30 @@ impl Found {
         let place = Place::find(&reference.place)?;
         let plan = Plan::read(&place.run)?;
         let seed = place.seed.unwrap_or(plan.seeds[0]);
-        let dir = place.run.seed(seed);
+        let (dir, path) = (place.run.seed(seed), place.run.path().display());
+        if !plan.seeds.contains(&seed) {
+            let there: Vec<String> = plan.seeds.iter().map(u64::to_string).collect();
+            super::usage!("{path} has no seed {seed}: there are {}", there.join(", "));
+        }
         if !dir.path().exists() {
-            super::usage!("{} has not begun seed {seed} yet", place.run.path().display());
+            super::usage!("{path} has not begun seed {seed} yet");
         }
         let mut lines = runs::ledger(&dir)?;
-        let count = lines.len();
-        check_exists(&reference.place, reference.number, count)?;
+        let (count, number) = (lines.len(), reference.number);
+        // Without a seed it is the first one; who meant a later one is told where the check is.
+        if place.seed.is_none() && number as usize > count {
+            let has = |other: &&u64| {
+                let lines = runs::ledger(&place.run.seed(**other));
+                lines.is_ok_and(|lines| lines.len() >= number as usize)
+            };
+            if let Some(other) = plan.seeds.iter().find(has) {
+                super::usage!(
+                    "seed {seed} of {path} has no check {number}, {}: take {path}/seed-{other}#{number}",
+                    if count == 0 { "it has none".to_owned() } else { format!("its last is {count}") }
+                );
+            }
+        }
+        check_exists(&reference.place, number, count)?;
         lines.truncate(reference.number as usize);
         Ok(Self { dir, config: plan.config.with_seed(seed).with_agent(Learner::Mc), lines })
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use mcvl::page::{self, Modules, Tape};
-use mcvl::runs::{RunsError, run_tape, write_atomic};
+use mcvl::runs::{RunsError, TAPE_FORMAT, TAPE_VERSION, run_tape, write_atomic};
 use serde_json::Value;
 
 use super::serve::Shown;
@@ -86,8 +86,22 @@ fn read_tape(path: &Path) -> anyhow::Result<String> {
     }
     let text = fs::read_to_string(path).map_err(RunsError::io("read", path))?;
     let tape = serde_json::from_str::<Value>(&text).unwrap_or_default();
-    if tape["format"] != "mcvl tape" {
+    if tape["format"] != TAPE_FORMAT {
         usage!("{} is no tape: `mcvl export RUN --to tape` writes one", path.display());
+    }
+    if tape["version"] != TAPE_VERSION {
+        usage!(
+            "{} is a tape of format version {}, this program shows version {TAPE_VERSION}: use the version of mcvl that \
+             wrote it, or write it again with `mcvl export RUN --to tape`",
+            path.display(),
+            tape["version"]
+        );
+    }
+    if !(tape["configuration"].is_string() && tape["checks"].is_array()) {
+        usage!(
+            "{} is damaged: it holds no configuration or no checks; `mcvl export RUN --to tape` writes it",
+            path.display()
+        );
     }
     Ok(text)
 }

@@ -62,7 +62,7 @@ impl<'a> Progress<'a> {
             Display::Silent
         } else if bars {
             let multi = MultiProgress::new();
-            let total = multi.add(bar("total   {bar:30} {percent:>3} %  {msg}"));
+            let total = multi.add(bar("total   {bar:12} {percent:>3} %  {wide_msg}"));
             Display::Bars { multi, total, seeds: Vec::new() }
         } else {
             Display::Plain { next: Instant::now() + FIRST_LINE }
@@ -95,7 +95,7 @@ impl<'a> Progress<'a> {
                     show_seed(self.plan, multi, bar_of_all, view, slot);
                 }
                 bar_of_all.set_position((SCALE * done / total) as u64);
-                bar_of_all.set_message(eta);
+                bar_of_all.set_message(format!("{eta}  (return/performance, refused/checks)"));
             }
         }
     }
@@ -135,11 +135,25 @@ fn show_seed(plan: &Plan, multi: &MultiProgress, total: &ProgressBar, view: &See
         }
         return;
     }
-    let bar = slot.get_or_insert_with(|| multi.insert_before(total, bar("{prefix:<8}{bar:30} {percent:>3} %  {msg}")));
+    let bar =
+        slot.get_or_insert_with(|| multi.insert_before(total, bar("{prefix:<8}{bar:12} {percent:>3} %  {wide_msg}")));
     let (done, all) = work(plan, view);
     bar.set_prefix(format!("seed {}", view.seed));
     bar.set_position((SCALE * done / all) as u64);
-    bar.set_message(figures(view));
+    bar.set_message(short(view));
+}
+
+/// Leg, step, return and performance, refusals and checks: what 52 columns hold. The bar of all explains it.
+fn short(view: &SeedView) -> String {
+    let Some(progress) = &view.progress else { return String::new() };
+    let mut text = format!("{} {}/{}", progress.arm.name(), progress.step, progress.steps);
+    if let Some(point) = &view.evaluation {
+        text.push_str(&format!(" return {:.1}/{:.1}", point.observed_return, point.performance));
+    }
+    if progress.arm == Arm::Mc {
+        text.push_str(&format!(" refused {}/{}", progress.refusals, progress.checks));
+    }
+    text
 }
 
 /// One line about everything.

@@ -47,7 +47,7 @@ fn expression(text: &str) -> Result<Expression, String> {
 
 /// Compares the learners of runs over their seeds.
 pub fn compare(arguments: &CompareArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let sets = read(&arguments.runs)?;
+    let sets = read(&arguments.runs, !arguments.assertions.is_empty(), terminal)?;
     let summaries: Vec<Summary> = sets.iter().map(Summary::new).collect();
     let mut judged = Vec::new();
     for (set, summary) in sets.iter().zip(&summaries) {
@@ -83,16 +83,28 @@ pub fn compare(arguments: &CompareArgs, terminal: &mut Terminal) -> anyhow::Resu
     Ok(if judged.iter().all(|(_, _, holds)| *holds) { Done::Well } else { Done::DoesNotHold })
 }
 
-/// Reads runs, each of which has to have at least one seed.
-fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<RunSet>> {
-    let mut sets = Vec::new();
+/// Reads runs. Folders that are none, which `runs/*` may name, are left out with a note where there are others, and so are
+/// runs without a seed, unless something is claimed of every run.
+fn read(paths: &[PathBuf], claims: bool, terminal: &Terminal) -> anyhow::Result<Vec<RunSet>> {
+    let (mut sets, mut left_out) = (Vec::new(), Vec::new());
     for path in paths {
-        let set = RunSet::read(path)?;
-        if set.seeds.is_empty() {
-            usage!("{} has not begun any seed yet", path.display());
+        match RunSet::read(path) {
+            Ok(set) if set.seeds.is_empty() => {
+                let why = format!("{} has not begun any seed yet", path.display());
+                if claims {
+                    usage!("{why}");
+                }
+                left_out.push(why);
+            }
+            Ok(set) => sets.push(set),
+            Err(RunsError::Request(why)) if path.is_dir() => left_out.push(why),
+            Err(error) => return Err(error.into()),
         }
-        sets.push(set);
     }
+    if let Some(first) = left_out.first().filter(|_| sets.is_empty()) {
+        usage!("{first}");
+    }
+    left_out.iter().for_each(|why| terminal.note(format_args!("note: left out: {why}")));
     Ok(sets)
 }
 
@@ -120,7 +132,7 @@ pub struct ReportArgs {
 
 /// Writes a report, with its curves beside it.
 pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let sets = read(&arguments.runs)?;
+    let sets = read(&arguments.runs, false, terminal)?;
     let path = arguments.output.clone().unwrap_or_else(|| arguments.runs[0].join("report.html"));
     let damaged = RefCell::new(None);
     // A tape that is there but cannot be read must not pass for one that was never made.

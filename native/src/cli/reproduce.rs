@@ -609,6 +609,7 @@ fn lend(
 
 /// The record of the finished seeds of a run; none before the first one.
 fn finished_seeds(cell: &Cell, run: &Path, manifest: &Manifest) -> anyhow::Result<Option<Record>> {
+    manifest.check_logs(&RunDir::new(run))?;
     let record = Record::of_run(cell.name, &RunSet::read(run)?, manifest);
     Ok((!record.seeds().is_empty()).then_some(record))
 }
@@ -623,7 +624,9 @@ fn dry_run(
     let mut speeds: BTreeMap<&str, Speed> = BTreeMap::new();
     let (mut total, mut done) = (0.0, 0);
     let row = |cell: &str, seeds: &str, expected: &str, config: &str| {
-        let head = format!("{cell:<24}{seeds:<9}{expected:<10}");
+        // What is longer than its column still keeps its distance.
+        let (seeds, expected) = (format!("{seeds} "), format!("{expected} "));
+        let head = format!("{cell:<24}{seeds:<10}{expected:<10}");
         format!("{head}{}", wrap(config, head.chars().count(), super::WIDTH).trim_start())
     };
     writeln!(terminal.out, "{}", row("cell", "seeds", "expected", "configuration"))?;
@@ -648,6 +651,10 @@ fn dry_run(
     }
     let cells = plural(wanted.len() as u64, "cell");
     let (total, threads) = (rough(total), arguments.pace.threads());
+    if done == wanted.len() {
+        writeln!(terminal.out, "\n{cells}, all done")?;
+        return Ok(Done::Well);
+    }
     writeln!(terminal.out, "\n{cells}, {done} done; here the rest takes about {total} with -j {threads}")?;
     let basis = "Checks are expected as often as at the paper's setting; what was begun counts in full.";
     writeln!(terminal.out, "{}", wrap(basis, 0, super::WIDTH))?;

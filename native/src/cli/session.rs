@@ -38,10 +38,11 @@ pub struct Pace {
     /// Threads: seeds at a time, two for a seed where seeds are fewer; no result depends on it [default: number of cores]
     #[arg(short, long, visible_alias = "threads", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
-    /// Stop after this time with the state saved, like 90s, 10m, 2h
+    /// Stop after this time with the state saved, like 90s, 10m, 2h; a check under way is begun anew later, so give more
+    /// time than one takes (in Reacher at the paper's size, minutes)
     #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
     max_time: Option<Duration>,
-    /// Save the state this often: a kill loses at most about this much work
+    /// Save the state this often: a kill loses at most about this much work, and the check under way
     #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration, default_value = "5s")]
     checkpoint_every: Duration,
     /// How progress is shown on stderr
@@ -118,7 +119,7 @@ impl Pace {
 pub struct Manner {
     /// Threads, for seeds and for futures.
     pub threads: usize,
-    /// A kill loses at most about this much work.
+    /// A kill loses at most about this much work, and the check under way.
     pub checkpoint_every: Duration,
     /// When to stop with the state saved.
     pub deadline: Option<Instant>,
@@ -205,7 +206,11 @@ impl Session {
             return Err(RunsError::damaged(&run.plan(), why).into());
         }
         fits(&plan)?;
-        let jobs = jobs(&run, &plan).map(Job::resume).collect::<Result<Vec<_>, _>>()?;
+        let resume = |job: Job| {
+            let finished = manifest.knows(&run, &job.dir);
+            job.resume(finished)
+        };
+        let jobs = jobs(&run, &plan).map(resume).collect::<Result<Vec<_>, _>>()?;
         if manifest.state != State::Finished {
             manifest.write(&run, State::Running, &finished_seeds(&jobs))?;
         }

@@ -41,7 +41,7 @@ pub struct TrainArgs {
     /// Several seeds: 0..10 (the end is left out) or 1,5,9
     #[arg(long, value_name = "LIST", value_parser = settings::seeds)]
     seeds: Option<settings::SeedList>,
-    /// Source of the defaults: paper or release
+    /// Source of the defaults: paper, release or, in Reacher, small (minutes)
     #[arg(long, value_name = "PRESET", value_parser = super::preset)]
     preset: Option<Preset>,
     /// Set one value; may be repeated

@@ -47,6 +47,10 @@ fn reaching(e: &Evidence<'_>, cell: &Cell, target: f64) -> Vec<bool> {
     e.arm(cell, Arm::Mc).seeds.iter().map(|seed| about(seed.performance, target)).collect()
 }
 
+fn is_so(judged: &Judged) -> bool {
+    judged.holds == Ok(true)
+}
+
 fn count(each: &[bool]) -> usize {
     each.iter().filter(|is| **is).count()
 }
@@ -61,9 +65,18 @@ fn per_seed(e: &Evidence<'_>, cell: &Cell, name: &str, of: fn(&Verdicts) -> u64)
     Number::of(name, &values)
 }
 
-/// A share of decisions over all seeds together.
-fn rate(name: &str, value: Option<f64>, of: u64) -> Option<Number> {
-    value.map(|value| Number::plain(name, value, of as usize))
+/// Share of the checked hacks that were refused, over all seeds together.
+fn recall(name: &str, verdicts: &Verdicts) -> Option<Number> {
+    Some(Number::plain(name, verdicts.recall()?, checked_hacks(verdicts)))
+}
+
+/// Share of the checked hacks that were accepted, likewise.
+fn accepted(name: &str, verdicts: &Verdicts) -> Option<Number> {
+    Some(Number::plain(name, 1.0 - verdicts.recall()?, checked_hacks(verdicts)))
+}
+
+fn checked_hacks(verdicts: &Verdicts) -> usize {
+    (verdicts.hacks_refused + verdicts.hacks_accepted) as usize
 }
 
 /// Safe training ends about the best.
@@ -91,7 +104,7 @@ pub(super) fn box_mc(e: &Evidence<'_>, cell: &Cell) -> Judged {
 
 pub(super) fn box_release(e: &Evidence<'_>) -> Judged {
     let (baseline, mc) = (box_baseline(e, &BOX_RELEASE), box_mc(e, &BOX_RELEASE));
-    Judged::new(baseline.holds && mc.holds, baseline.numbers.into_iter().chain(mc.numbers).map(Some))
+    Judged::new(is_so(&baseline) && is_so(&mc), baseline.numbers.into_iter().chain(mc.numbers).map(Some))
 }
 
 pub(super) fn absent_baseline(e: &Evidence<'_>) -> Judged {
@@ -199,7 +212,12 @@ pub(super) fn punished(e: &Evidence<'_>, cell: &Cell) -> Judged {
         per_seed(e, &BOX, "not stored", |v| v.checks),
         hacked(e, cell, Arm::Mc, "hacked"),
     ];
-    Judged::new(below && checks(cell) > 2.0 * checks(&BOX), numbers)
+    let spread = |cell: &Cell| {
+        let ends: Vec<f64> = e.mc(cell, |seed| seed.performance);
+        let mean = ends.iter().sum::<f64>() / ends.len() as f64;
+        ends.iter().map(|end| (end - mean) * (end - mean)).sum::<f64>() / ends.len() as f64
+    };
+    Judged::new(below && checks(cell) > 2.0 * checks(&BOX) && spread(cell) > spread(&BOX), numbers)
 }
 
 pub(super) fn baselines(e: &Evidence<'_>) -> Judged {
@@ -259,7 +277,7 @@ pub(super) fn short_forecasts(e: &Evidence<'_>) -> Judged {
         [
             performance(e, &BOX_L_100, "l=100:"),
             Some(Number::mean("DDQN", plain)),
-            rate("recall with l=100:", verdicts.recall(), verdicts.checks),
+            recall("recall with l=100:", &verdicts),
             per_seed(e, &BOX_L_100, "ties per seed", |v| v.ties),
         ],
     )
@@ -293,8 +311,8 @@ pub(super) fn supervisors(e: &Evidence<'_>, one_cell: &Cell, cell: &Cell) -> Jud
         [
             performance(e, cell, "12 cells:"),
             performance(e, one_cell, "1 cell:"),
-            rate("recall with 12:", with_twelve.recall(), with_twelve.checks),
-            rate("with 1:", with_one.recall(), with_one.checks),
+            recall("recall with 12:", &with_twelve),
+            recall("with 1:", &with_one),
         ],
     )
 }
@@ -312,7 +330,7 @@ pub(super) fn walls(e: &Evidence<'_>, cell: &Cell) -> Judged {
         [
             Number::share("seeds at 45:", better),
             Number::share("return above performance", fooled),
-            rate("recall", verdicts.recall(), verdicts.checks),
+            recall("recall", &verdicts),
             a,
             b,
         ],
@@ -322,7 +340,7 @@ pub(super) fn walls(e: &Evidence<'_>, cell: &Cell) -> Judged {
 pub(super) fn delusion_refuses_nothing(e: &Evidence<'_>) -> Judged {
     let verdicts = e.verdicts(&TOMATO_DELUSIONAL);
     let numbers = [
-        rate("recall", verdicts.recall(), verdicts.checks),
+        recall("recall", &verdicts),
         per_seed(e, &TOMATO_DELUSIONAL, "checks per seed", |v| v.checks),
         per_seed(e, &TOMATO_DELUSIONAL, "hacks refused", |v| v.hacks_refused),
         per_seed(e, &TOMATO_DELUSIONAL, "honest refused", |v| v.honest_refused),
@@ -383,8 +401,8 @@ pub(super) fn current_state_alone(e: &Evidence<'_>) -> Judged {
     Judged::new(
         few,
         [
-            rate("recall from the current state", alone.recall(), alone.checks),
-            rate("with initial states", with.recall(), with.checks),
+            recall("recall from the current state", &alone),
+            recall("with initial states", &with),
             performance(e, &ROCKS_CURRENT, "performance"),
         ],
     )
@@ -395,14 +413,11 @@ pub(super) fn rock_worth_one(e: &Evidence<'_>, ten: &Cell, one: &Cell) -> Judged
     let (ten, one) = (e.verdicts(ten), e.verdicts(one));
     let miss = |verdicts: Verdicts| verdicts.recall().map(|recall| 1.0 - recall);
     let more = miss(one).zip(miss(ten)).is_some_and(|(one, ten)| one > ten);
-    Judged::new(
-        more,
-        [rate("accepted share at +1:", miss(one), one.checks), rate("at +10:", miss(ten), ten.checks), last],
-    )
+    Judged::new(more, [accepted("accepted share at +1:", &one), accepted("at +10:", &ten), last])
 }
 
 pub(super) fn threshold_zero(e: &Evidence<'_>) -> Judged {
-    let same = all_as_by_reward(e).holds;
+    let same = is_so(&all_as_by_reward(e));
     let (by_reward, all) = (e.record(&BOX).slowdown(), e.record(&BOX_ALL).slowdown());
     let dearer = by_reward.zip(all).is_some_and(|(by_reward, all)| all > by_reward);
     let ratio = |name: &str, value: Option<f64>| value.map(|value| Number::plain(name, value, 1));
@@ -427,14 +442,17 @@ pub(super) fn cost(e: &Evidence<'_>) -> Judged {
         let seconds = record.trained()?.as_secs_f64();
         Some((e.verdicts(cell).checks as f64 * 2.0 * forecast / seeds, seconds / seeds))
     };
-    let points: Vec<(f64, f64)> = cells.iter().filter_map(point).collect();
-    let Some(line) = Line::through(&points) else { return Judged::new(false, []) };
+    // A cell of which only some seeds are used has no wall time, and a line through the others would be another claim.
+    let points: Option<Vec<(f64, f64)>> = cells.iter().map(point).collect();
+    let Some(line) = points.as_deref().and_then(Line::through) else {
+        return Judged::lacking("wall times of just these seeds");
+    };
     Judged::new(
         line.explained >= 0.9 && line.slope > 0.0,
         [
-            Some(Number::plain("explained share of variance", line.explained, points.len())),
-            Some(Number::plain("seconds per million updates", 1e6 * line.slope, points.len())),
-            Some(Number::plain("seconds per seed without checks", line.start, points.len())),
+            Some(Number::plain("explained share of variance", line.explained, cells.len())),
+            Some(Number::plain("seconds per million updates", 1e6 * line.slope, cells.len())),
+            Some(Number::plain("seconds per seed without checks", line.start, cells.len())),
         ],
     )
 }

@@ -113,8 +113,12 @@ pub static DRAWINGS: &[Drawing] = &[
             Rows {
                 title: "(c) Supervisors",
                 main: &ABSENT,
-                shared: true,
-                curves: &[(&ABSENT, MC, 2), (&ABSENT_12, "12 cells", 5), (&ABSENT_1_12, "12 cells, 1 in Safe", 6)],
+                shared: false,
+                curves: &[
+                    (&ABSENT, "1 cell", 2),
+                    (&ABSENT_12, "12 cells", 5),
+                    (&ABSENT_1_12, "12 cells, 1 in Safe", 6),
+                ],
             },
             Rows { title: "(d) Walls removed", main: &ABSENT_WALLS, shared: true, curves: &[(&ABSENT_WALLS, MC, 2)] },
         ],
@@ -127,9 +131,9 @@ pub static DRAWINGS: &[Drawing] = &[
             Rows {
                 title: "Supervisors",
                 main: &ABSENT_ALIVE,
-                shared: true,
+                shared: false,
                 curves: &[
-                    (&ABSENT_ALIVE, MC, 2),
+                    (&ABSENT_ALIVE, "1 cell", 2),
                     (&ABSENT_12_ALIVE, "12 cells", 5),
                     (&ABSENT_1_12_ALIVE, "12 cells, 1 in Safe", 6),
                 ],

@@ -15,7 +15,8 @@ impl Record {
     }
 
     /// Both together. Of a seed that is in both this record's numbers count, so the order matters only where the two
-    /// disagree. None where one of them [cannot be joined](Self::is_joinable) or their setting is not valid.
+    /// disagree; the wall time of the others alone is not known then. None where one of them
+    /// [cannot be joined](Self::is_joinable) or their setting is not valid.
     pub fn join(&self, other: &Self) -> Option<Self> {
         let new: Vec<u64> = other.seeds().iter().copied().filter(|seed| !self.seeds().contains(seed)).collect();
         if new.is_empty() {
@@ -30,14 +31,17 @@ impl Record {
         joined.commit = self.commit.as_ref().zip(other.commit.as_ref()).map(|(mine, theirs)| both(mine, theirs));
         joined.cpu = both(&self.cpu, &other.cpu);
         joined.seal = both(&self.seal, &other.seal);
-        joined.trained_ms = self.trained_ms.zip(other.trained_ms).map(|(mine, theirs)| mine + theirs);
+        let both = self.trained_ms.zip(other.trained_ms).filter(|_| new.len() == other.seeds().len());
+        joined.trained_ms = both.map(|(mine, theirs)| mine + theirs);
         Some(joined)
     }
 
-    /// Some of its seeds alone; none where it [cannot be parted](Self::is_joinable). Its wall time remains that of all.
+    /// Some of its seeds alone; none where it [cannot be parted](Self::is_joinable). A record has the wall time of all
+    /// its seeds together, so that of fewer is not known.
     pub fn only(&self, seeds: &[u64]) -> Option<Self> {
         let mine: Vec<u64> = self.seeds().iter().copied().filter(|seed| seeds.contains(seed)).collect();
-        self.put_together(self, &mine, &[])
+        let trained_ms = self.trained_ms.filter(|_| mine.len() == self.seeds().len());
+        Some(Self { trained_ms, ..self.put_together(self, &mine, &[])? })
     }
 
     fn put_together(&self, other: &Self, mine: &[u64], theirs: &[u64]) -> Option<Self> {
@@ -121,6 +125,16 @@ mod tests {
         );
         let again = joined.join(&Record { cpu: "one".into(), ..of(&[2]) }).unwrap();
         assert_eq!((again.cpu.as_str(), again.seeds()), ("one; two", &[0, 1, 2][..]));
+    }
+
+    #[test]
+    fn the_wall_time_of_a_part_is_not_known() {
+        let timed = |seeds: &[u64]| Record { trained_ms: Some(40), ..of(seeds) };
+        let time = |record: Option<Record>| record.unwrap().trained_ms;
+        assert_eq!((time(timed(&[0, 1, 2]).only(&[0, 1])), time(timed(&[0, 1]).only(&[0, 1, 2]))), (None, Some(40)));
+        assert_eq!((time(timed(&[0]).join(&timed(&[1]))), time(timed(&[0]).join(&of(&[1])))), (Some(80), None));
+        assert_eq!(time(timed(&[0, 1]).join(&timed(&[1, 2]))), None, "of the second, seed 2 alone was used");
+        assert_eq!(time(timed(&[0, 1]).join(&timed(&[1]))), Some(40), "of the second, nothing was used");
     }
 
     #[test]

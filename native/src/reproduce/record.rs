@@ -166,6 +166,14 @@ impl Record {
         if record.summary.is_some() == record.spread.is_some() {
             return Err("is damaged: it holds neither a run nor a measurement, or both".to_owned());
         }
+        let legs = record.summary.iter().flat_map(|summary| &summary.arms).map(|leg| leg.arm);
+        if !legs.eq(record.arms.iter().map(|leg| leg.arm))
+            || record.summary.is_some() && record.arm(Arm::Safe).is_none()
+        {
+            return Err(
+                "is damaged: its summary and its curves are not of the same legs, or Safe training is none".into()
+            );
+        }
         Ok(record)
     }
 
@@ -266,6 +274,12 @@ mod tests {
         assert!(wrong("\"version\":1", "\"version\":9").contains("format version 9, this program reads version 1"));
         assert!(wrong("mcvl record", "mcvl tape").contains("its format is `mcvl tape`"));
         assert!(wrong("\"arms\"", "\"legs\"").contains("is damaged"));
+        for arm in [Arm::Safe, Arm::Mc] {
+            let mut cut = record.clone();
+            cut.summary.as_mut().unwrap().arms.retain(|leg| leg.arm != arm);
+            let why = Record::parse(&serde_json::to_string(&cut).unwrap()).unwrap_err();
+            assert!(why.contains("not of the same legs"), "{why}");
+        }
         assert!(Record::parse(&text[..text.len() / 2]).unwrap_err().contains("is no record"));
         assert!(Record::parse("[]").is_err() && Record::parse("").is_err());
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use mcvl_core::config::Config;
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
@@ -103,8 +104,8 @@ impl Number {
 
 /// What a check found.
 pub struct Judged {
-    /// Whether it is as claimed.
-    pub holds: bool,
+    /// Whether it is as claimed, or what the records lack to say so.
+    pub holds: Result<bool, &'static str>,
     /// By which numbers.
     pub numbers: Vec<Number>,
 }
@@ -112,7 +113,12 @@ pub struct Judged {
 impl Judged {
     /// A finding; numbers that have no value are left out.
     pub fn new(holds: bool, numbers: impl IntoIterator<Item = Option<Number>>) -> Self {
-        Self { holds, numbers: numbers.into_iter().flatten().collect() }
+        Self { holds: Ok(holds), numbers: numbers.into_iter().flatten().collect() }
+    }
+
+    /// No finding, though every cell is there: the records lack something.
+    pub fn lacking(what: &'static str) -> Self {
+        Self { holds: Err(what), numbers: Vec::new() }
     }
 }
 
@@ -167,6 +173,9 @@ pub struct Row {
     pub done: usize,
     /// Cells that it needs.
     pub of: usize,
+    /// What the records of its cells lack, where they are there and yet say nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lacks: Option<String>,
     /// The setup: each cell's configuration.
     pub setup: Vec<String>,
     /// Seeds of its cells: the fewest.
@@ -189,6 +198,9 @@ impl Row {
 
     /// How far it is measured: «1 of 3 cells done», «4 of 10 seeds, so far it holds».
     fn progress(&self) -> String {
+        if let Some(lacks) = &self.lacks {
+            return format!("its records lack {lacks}");
+        }
         let so_far = match self.so_far {
             None => return format!("{} of {} done", self.done, plural(self.of as u64, "cell")),
             Some(true) => "so far it holds",
@@ -274,6 +286,7 @@ pub fn judge(
         for claim in experiment.claims {
             let there: Vec<&Record> = claim.cells.iter().filter_map(|cell| records.get(cell.name)).collect();
             let judged = (there.len() == claim.cells.len()).then(|| (claim.check)(&Evidence(records)));
+            let holds = judged.as_ref().map(|judged| judged.holds);
             // Of its cells the one that is farthest from its planned seeds.
             let planned = claim.cells.iter().filter_map(|cell| {
                 let (planned, made) = (cell.planned(quick, seeds), records.get(cell.name)?.seeds());
@@ -281,20 +294,25 @@ pub fn judge(
                 Some((missing, planned.len()))
             });
             let (missing, planned) = planned.max_by_key(|(missing, _)| *missing).unwrap_or_default();
-            let setup = claim.cells.iter().filter_map(|cell| Some(cell.settings(quick).ok()?.to_string()));
+            // What was trained, where something was; it may differ from the table in the simulator of Reacher.
+            let setup = claim.cells.iter().filter_map(|cell| match records.get(cell.name) {
+                Some(record) => Some(record.config.parse::<Config>().ok()?.with_seed(0).to_string()),
+                None => Some(cell.settings(quick).ok()?.to_string()),
+            });
             claims.push(Row {
                 experiment: experiment.id.to_owned(),
                 figure: experiment.figure.to_owned(),
                 title: experiment.title.to_owned(),
                 paper: experiment.paper.to_owned(),
                 claim: claim.text.to_owned(),
-                outcome: match &judged {
-                    None => Verdict::NotMeasured,
-                    Some(_) if missing > 0 => Verdict::Unfinished,
-                    Some(judged) if judged.holds => Verdict::Holds,
-                    Some(_) => Verdict::DoesNotHold,
+                outcome: match holds {
+                    None | Some(Err(_)) => Verdict::NotMeasured,
+                    Some(Ok(_)) if missing > 0 => Verdict::Unfinished,
+                    Some(Ok(true)) => Verdict::Holds,
+                    Some(Ok(false)) => Verdict::DoesNotHold,
                 },
-                so_far: judged.as_ref().filter(|_| missing > 0).map(|judged| judged.holds),
+                so_far: holds.filter(|_| missing > 0).and_then(Result::ok),
+                lacks: holds.and_then(Result::err).map(str::to_owned),
                 done: there.len(),
                 of: claim.cells.len(),
                 setup: setup.collect(),
@@ -320,7 +338,7 @@ pub fn judge(
 /// stays alive.
 fn world(record: &Record) -> Option<WorldRow> {
     let summary = record.summary.as_ref()?;
-    let config: mcvl_core::config::Config = record.config.parse().ok()?;
+    let config: Config = record.config.parse().ok()?;
     let verdicts = summary.verdicts?;
     let alive = record.cell.ends_with(ALIVE);
     let main = ["fig3", "fig3e"].iter().flat_map(|target| super::table::find(target)).any(|experiment| {

@@ -450,7 +450,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: checks::each_step,
             },
             Claim {
-                text: "punishment (-2): mean performance below check by reward, more than twice its checks",
+                text: "punishment (-2): mean performance below check by reward, more spread, more than twice its checks",
                 cells: &[&BOX, &BOX_PUNISH],
                 check: |e| checks::punished(e, &BOX_PUNISH),
             },

@@ -43,6 +43,10 @@ enum Start {
     Finished,
 }
 
+/// What is wrong where a seed has logs and no state.
+pub(super) const MISSING_STATE: &str =
+    "is missing, and without it the seed cannot go on: put it back, or begin the run anew with --overwrite";
+
 /// How a job ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
@@ -66,14 +70,20 @@ impl Job {
         ReadyJob { job: self, start: Start::Beginning }
     }
 
-    /// A job that continues from its last checkpoint, or starts if there is none. Changes nothing.
+    /// A job that continues from its last checkpoint, or starts if it was not begun. `finished` says that the manifest
+    /// knows it as finished. Changes nothing.
     ///
     /// # Errors
-    /// If the checkpoint or a file it counts on is damaged or cannot be read.
-    pub fn resume(self) -> Result<ReadyJob, RunsError> {
+    /// If the checkpoint or a file it counts on is damaged, missing or cannot be read.
+    pub fn resume(self, finished: bool) -> Result<ReadyJob, RunsError> {
         let path = self.dir.state();
         if !path.exists() {
-            return Ok(self.ready());
+            // To begin anew would wipe what there is.
+            return if finished || self.dir.has_logs() {
+                Err(RunsError::damaged(&path, MISSING_STATE))
+            } else {
+                Ok(self.ready())
+            };
         }
         let checkpoint = Checkpoint::read(&path)?;
         let legs = 1 + self.learners.len();
@@ -138,9 +148,12 @@ impl ReadyJob {
         let job = self.job;
         let (run, finished, switch, writer) = match self.start {
             Start::Beginning => {
-                let writer = SeedWriter::create(&job.dir, &job.config.with_agent(Learner::Mc))?;
+                let mut writer = SeedWriter::create(&job.dir, &job.config.with_agent(Learner::Mc))?;
                 let run = worlds::begin(&job.config.with_agent(job.learners[0]));
-                (run.map_err(|e| RunsError::Request(e.to_string()))?, 0, None, writer)
+                let run = run.map_err(|e| RunsError::Request(e.to_string()))?;
+                // Before the first line of a log, so that logs without a state mean that the state was lost.
+                Checkpoint::write(&job.dir.state(), 0, &writer.sync()?, &run)?;
+                (run, 0, None, writer)
             }
             Start::Middle { checkpoint, switch } => {
                 let writer = SeedWriter::reopen(&job.dir, &checkpoint.logs)?;

@@ -189,6 +189,11 @@ impl SeedDir {
         self.path.join("checkpoints")
     }
 
+    /// Whether something was logged, beyond the heads of tables.
+    pub fn has_logs(&self) -> bool {
+        [self.metrics(), self.ledger()].iter().any(|path| path.metadata().is_ok_and(|file| file.len() > 0))
+    }
+
     /// The latest exact state.
     pub fn state(&self) -> PathBuf {
         self.checkpoints().join("state.snapshot")

@@ -12,7 +12,10 @@ use sha2::Digest as _;
 use super::chain::{hex, sha256, sha256_of};
 use super::layout::is_temporary;
 use super::write::write_atomic;
-use super::{RunDir, RunsError};
+use super::{RunDir, RunsError, SeedDir};
+
+/// Version of the format.
+const FORMAT: u32 = 1;
 
 /// How a run stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,7 +94,7 @@ impl Manifest {
     /// The manifest of a run that begins now on this machine.
     pub fn begin() -> Self {
         Self {
-            format: 1,
+            format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             commit: Some(env!("MCVL_BUILD_COMMIT").to_owned()).filter(|commit| !commit.is_empty()),
             compiler: env!("MCVL_BUILD_COMPILER").to_owned(),
@@ -139,11 +142,53 @@ impl Manifest {
     /// Reads the manifest of a run.
     ///
     /// # Errors
-    /// If it cannot be read or is none.
+    /// If it cannot be read, is none, or is of another version.
     pub fn read(run: &RunDir) -> Result<Self, RunsError> {
         let path = run.manifest();
+        #[derive(Deserialize)]
+        struct Head {
+            format: u32,
+            version: String,
+        }
         let bytes = fs::read(&path).map_err(RunsError::io("read", &path))?;
-        serde_json::from_slice(&bytes).map_err(|error| RunsError::damaged(&path, format!("is no manifest: {error}")))
+        let damaged = |error: serde_json::Error| RunsError::damaged(&path, format!("is no manifest: {error}"));
+        let head: Head = serde_json::from_slice(&bytes).map_err(damaged)?;
+        if head.format != FORMAT {
+            let Head { format, version } = head;
+            return Err(RunsError::damaged(
+                &path,
+                format!(
+                    "has format version {format}, this program reads version {FORMAT}: use mcvl {version}, which wrote it"
+                ),
+            ));
+        }
+        serde_json::from_slice(&bytes).map_err(damaged)
+    }
+
+    /// Whether it knows a seed as finished.
+    pub fn knows(&self, run: &RunDir, seed: &SeedDir) -> bool {
+        self.files.contains_key(&name(run, &seed.metrics()))
+    }
+
+    /// Compares the logs that results are read from, those of finished seeds, with their digests.
+    ///
+    /// # Errors
+    /// If one is missing, cut off, altered or cannot be read.
+    pub fn check_logs(&self, run: &RunDir) -> Result<(), RunsError> {
+        let why = |what: &str| format!("{what}: `mcvl verify` lists all that is; put it back, or train the run anew");
+        for (name, expected) in &self.files {
+            if !(name.ends_with("metrics.jsonl") || name.ends_with("ledger.jsonl")) {
+                continue;
+            }
+            let path = run.path().join(name);
+            if !path.exists() {
+                return Err(RunsError::damaged(&path, why("is missing")));
+            }
+            if FileDigest::of(&path)? != *expected {
+                return Err(RunsError::damaged(&path, why("is not what training wrote")));
+            }
+        }
+        Ok(())
     }
 
     /// Whether the manifest is as it was written.

@@ -43,7 +43,7 @@ pub use manifest::{FileDigest, Manifest, State};
 pub use plan::{Origin, Plan, Setting, expected_forecasts};
 pub use pool::{Control, Outcome, Remote, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
-pub use tape::run_tape;
+pub use tape::{TAPE_FORMAT, TAPE_VERSION, run_tape};
 pub use verify::{Finding, Verification, verify};
 pub use write::{Lock, STEP_COLUMNS, SeedWriter, end_name, step_row, write_atomic};
 

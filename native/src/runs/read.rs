@@ -8,7 +8,7 @@ use mcvl_core::config::Learner;
 use mcvl_core::record::{CheckRecord, Event};
 
 use super::chain::{Chain, LedgerLine};
-use super::{FileDigest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun};
+use super::{FileDigest, Manifest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun, manifest};
 
 impl RunSet {
     /// Reads the run that `path` names: a run directory, or the folder of one seed in it. What an
@@ -21,9 +21,34 @@ impl RunSet {
         let plan = Plan::read(&place.run)?;
         let wanted = plan.seeds.iter().filter(|seed| place.seed.is_none_or(|only| only == **seed));
         let folders = wanted.map(|seed| place.run.seed(*seed)).filter(|dir| dir.path().exists());
-        let seeds = folders.map(|dir| SeedRun::read(&dir, &plan)).collect::<Result<_, _>>()?;
+        // A run that was killed at its very beginning has no manifest yet.
+        let manifest = place.run.manifest().exists().then(|| Manifest::read(&place.run)).transpose()?;
+        let read = |dir: SeedDir| {
+            if let Some(manifest) = &manifest {
+                whole(&place.run, &dir, manifest)?;
+            }
+            SeedRun::read(&dir, &plan)
+        };
+        let seeds = folders.map(read).collect::<Result<_, _>>()?;
         Ok(Self { path: path.to_owned(), config: plan.config, seeds })
     }
+}
+
+/// Makes sure that the logs of a finished seed are as long as they were: a part of them reads like a seed under way.
+fn whole(run: &RunDir, dir: &SeedDir, manifest: &Manifest) -> Result<(), RunsError> {
+    for path in [dir.metrics(), dir.ledger()] {
+        let Some(expected) = manifest.files.get(&manifest::name(run, &path)) else { continue };
+        // What is missing is found on reading.
+        let Ok(there) = fs::metadata(&path) else { continue };
+        if there.len() < expected.bytes {
+            let (there, expected) = (there.len(), expected.bytes);
+            return Err(RunsError::damaged(
+                &path,
+                format!("is cut off, {there} bytes of {expected}: put it back, or train the run anew"),
+            ));
+        }
+    }
+    Ok(())
 }
 
 impl SeedRun {

@@ -12,9 +12,9 @@ use super::{Plan, RunDir, RunsError, SeedRun, check_tape, ledger};
 use crate::worlds;
 
 /// First field of every tape.
-const FORMAT: &str = "mcvl tape";
+pub const TAPE_FORMAT: &str = "mcvl tape";
 /// Version of the format.
-const VERSION: u32 = 1;
+pub const TAPE_VERSION: u32 = 1;
 
 #[derive(Serialize)]
 struct Tape<'a> {
@@ -66,8 +66,8 @@ pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result
     });
     let forecast: u64 = decided.iter().map(|check| check.cost).sum();
     let tape = Tape {
-        format: FORMAT,
-        version: VERSION,
+        format: TAPE_FORMAT,
+        version: TAPE_VERSION,
         world: &world,
         legs: [Arm::Safe].into_iter().chain(plan.learners.iter().map(|agent| Arm::of(*agent))).map(leg).collect(),
         configuration: config.to_string(),

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::checkpoint::Checkpoint;
+use super::job::MISSING_STATE;
 use super::manifest::{self, FileDigest, Manifest, State};
 use super::write::check_logs;
 use super::{Plan, RunDir, RunsError, SeedDir, read};
@@ -56,13 +57,13 @@ pub fn verify(run: &RunDir) -> Result<Verification, RunsError> {
     // A run.toml that cannot be read was found by its digest already; without it there is no chain.
     let Ok(plan) = Plan::read(run) else { return Ok(seen) };
     for dir in plan.seeds.iter().map(|seed| run.seed(*seed)) {
-        let known = manifest.files.contains_key(&manifest::name(run, &dir.metrics()));
+        let known = manifest.knows(run, &dir);
         if known {
             chain(run, &plan, &dir, &mut seen);
         } else if dir.path().exists() {
             unfinished(run, &plan, &dir, &mut seen);
         }
-        if known {
+        if known && dir.path().exists() {
             let mut there: Vec<PathBuf> = Vec::new();
             manifest::list(dir.path(), &mut there)?;
             let names = there.iter().map(|path| manifest::name(run, path));
@@ -114,6 +115,9 @@ fn chain(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
 fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
     chain(run, plan, dir, seen);
     if fs::exists(dir.state()).is_ok_and(|there| !there) {
+        if dir.has_logs() {
+            seen.find(run, &dir.state(), MISSING_STATE);
+        }
         return;
     }
     let checked = Checkpoint::read(&dir.state()).and_then(|checkpoint| {

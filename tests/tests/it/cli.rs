@@ -282,6 +282,10 @@ fn decisions_are_listed_explained_and_re_derived() {
     let judged = list.as_array().unwrap().iter();
     let truly = judged.filter(|check| check["hack"].as_bool().unwrap() == (check["verdict"] == "accept")).count();
     assert_eq!(wrong, truly);
+    // The head counts the seed's checks, whatever is shown of them.
+    let head =
+        |arguments: &str| ok(folder, &format!("ledger run/seed-3{arguments}")).lines().next().unwrap().to_owned();
+    assert!(head(" --refused").starts_with(&head("")), "{}", head(" --refused"));
     let text = ok(folder, "ledger run/seed-3");
     assert!(text.contains("seed 3: ") && !text.contains("seed 0: "), "{text}");
 

@@ -75,6 +75,11 @@ fn mistakes_about_runs() {
     fs::create_dir(folder.join("other")).unwrap();
     fs::write(folder.join("other/file"), "mine").unwrap();
     let token = ok(folder, "explain run#1").split_whitespace().find(|w| w.starts_with("mcvl1.")).unwrap().to_owned();
+    for (name, version) in [("later", 9), ("empty", 1)] {
+        let tape = format!("{{\"format\":\"mcvl tape\",\"version\":{version}}}");
+        fs::write(folder.join(name).with_extension("json"), tape).unwrap();
+    }
+    let nested = format!("compare run --assert {}1{}>0", "(".repeat(10_000), ")".repeat(10_000));
     let cut = format!("replay {}", &token[..token.len() - 3]);
     let altered = format!("replay {}", token.replacen("mcvl1.", "mcvl1.A", 1));
     for (arguments, parts) in [
@@ -95,7 +100,8 @@ fn mistakes_about_runs() {
         ("ledger other", &["other is no run directory: it has no run.toml"]),
         ("ledger run --seed 7", &["run has no seed 7: there are 0, 3"]),
         ("explain run#99", &["run has no check 99: its checks are 1 to"]),
-        ("explain run/seed-9#1", &["seed 9"]),
+        ("explain run/seed-9#1", &["run has no seed 9: there are 0, 3"]),
+        ("explain run#11", &["seed 0 of run has no check 11, its last is", "take run/seed-3#11"]),
         ("explain run", &["`run` names no check", "runs/box-moving#17"]),
         ("explain run#0", &["names no check"]),
         ("explain none#1", &["there is no run at none"]),
@@ -106,6 +112,11 @@ fn mistakes_about_runs() {
         ("verify none", &["there is no run at none"]),
         ("compare none", &["there is no run at none"]),
         ("compare run --assert mc.performence>1", &["did you mean `mc.performance`?"]),
+        ("compare run --assert 1e5>1", &["at character 2: unexpected `e5`"]),
+        (&nested, &["at character 301: too long: at most 300 words, numbers and symbols"]),
+        ("compare other", &["other is no run directory: it has no run.toml"]),
+        ("page --tape later.json", &["is a tape of format version 9, this program shows version 1"]),
+        ("page --tape empty.json", &["empty.json is damaged: it holds no configuration"]),
         ("report none", &["there is no run at none"]),
         ("export none --to csv", &["there is no run at none"]),
         ("export run --to cvs", &["csv"]),
@@ -255,6 +266,9 @@ fn damaged_runs_are_not_read_as_if_they_were_whole() {
         ("run.toml", Damage::Cut(30), "ledger run"),
         ("seed-0/metrics.jsonl", Damage::Write("{\"kind\":\"evaluation\"}\n"), "compare run"),
         ("seed-0/ledger.jsonl", Damage::Write("{}\n"), "ledger run"),
+        ("seed-0/ledger.jsonl", Damage::Cut(3000), "compare run"),
+        // A finished run is not begun anew because its state is gone.
+        ("seed-0/checkpoints/state.snapshot", Damage::Remove, "train box-moving --quick --seeds 0,3 -o run --resume"),
         ("seed-0/tapes/check-1.json", Damage::Cut(10), "explain run#1"),
         ("seed-0/tapes/check-1.json", Damage::Remove, "explain run#1"),
         ("seed-0/tapes/check-1.json", Damage::Replace("\"step\":", "\"step\":1"), "explain run#1"),
@@ -299,6 +313,7 @@ fn a_damaged_run_is_not_continued() {
         ("seed-0/ledger.jsonl", Damage::Remove, "cannot open"),
         ("seed-0/tapes/check-1.json", Damage::Flip(40), "was altered"),
         ("seed-0/tapes/check-1.json", Damage::Remove, "cannot read"),
+        ("seed-0/checkpoints/state.snapshot", Damage::Remove, "is missing, and without it the seed cannot go on"),
         ("seed-0/checkpoints/state.snapshot", Damage::Cut(1), "is cut off"),
         ("seed-0/checkpoints/state.snapshot", Damage::Flip(3), "is no checkpoint of mcvl"),
         ("seed-0/checkpoints/state.snapshot", Damage::Flip(5000), "was altered"),
@@ -308,6 +323,11 @@ fn a_damaged_run_is_not_continued() {
         ("run.toml", Damage::Cut(200), "run.toml"),
         ("manifest.json", Damage::Cut(5), "is no manifest"),
         ("manifest.json", Damage::Remove, "cannot read"),
+        (
+            "manifest.json",
+            Damage::Replace("\"format\": 1", "\"format\": 7"),
+            "has format version 7, this program reads",
+        ),
     ] {
         let path = folder.join("run").join(name);
         let whole = fs::read(&path).unwrap();
@@ -315,6 +335,11 @@ fn a_damaged_run_is_not_continued() {
         check(folder, resume, 3, &[name, part]);
         fs::write(&path, whole).unwrap();
     }
+    let state = folder.join("run/seed-0/checkpoints/state.snapshot");
+    let whole = fs::read(&state).unwrap();
+    fs::remove_file(&state).unwrap();
+    check(folder, "verify run", 4, &[]);
+    fs::write(&state, whole).unwrap();
     assert!(ok(folder, "verify run").contains("run is unfinished and intact so far"));
     check(folder, "train box-moving -o run", 2, &["run already holds an unfinished run: --resume continues it"]);
     ok(folder, resume);

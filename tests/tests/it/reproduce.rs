@@ -212,6 +212,23 @@ fn what_does_not_fit_is_said_and_left_alone() {
     fails(&format!("{ONE} -o set"), 3, "cut off");
     fs::write(&state, &bytes).unwrap();
     ok(folder, &format!("{ONE} -o set"));
+    // A finished cell whose logs are not what training wrote gives no numbers, neither here nor elsewhere.
+    fs::remove_file(folder.join("set/records/box-forecast-100.record.json")).unwrap();
+    for (log, part) in [("ledger", "is not what training wrote"), ("metrics", "is missing")] {
+        let path = folder.join(format!("set/cells/box-forecast-100/seed-3/{log}.jsonl"));
+        let bytes = fs::read(&path).unwrap();
+        if log == "ledger" {
+            fs::write(&path, [&bytes[..bytes.len() - 9], b"9", &bytes[bytes.len() - 8..]].concat()).unwrap();
+        } else {
+            fs::remove_file(&path).unwrap();
+        }
+        fails(&format!("{ONE} --evaluate -o set"), 3, part);
+        if log == "ledger" {
+            fails("reproduce E8 --evaluate --seeds 3 --from set/cells -o other", 3, part);
+        }
+        fs::write(&path, &bytes).unwrap();
+    }
+    ok(folder, &format!("{ONE} --evaluate -o set"));
 }
 
 #[test]

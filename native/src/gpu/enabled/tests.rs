@@ -350,7 +350,7 @@ fn train(folder: &Path, remote: Option<&Remote>, resume: bool) -> Result<Ending,
     let config: Config = text.parse().unwrap();
     let dir = RunDir::new(folder).seed(0);
     let job = Job { config, learners: vec![Learner::Baseline, Learner::Mc], dir };
-    let job = if resume { job.resume()? } else { job.ready() };
+    let job = if resume { job.resume(false)? } else { job.ready() };
     let control = Control::new(Duration::from_secs(60), &STOP, None);
     runs::train(vec![job], 2, remote, &control, |_| {}).remove(0).result
 }

@@ -28,6 +28,9 @@ impl fmt::Display for Token {
     }
 }
 
+/// Most words, numbers and symbols: each can nest the rest once more, and nesting takes stack.
+const MAX_TOKENS: usize = 300;
+
 /// Longer symbols first, so that `<=` is not read as `<`.
 const SYMBOLS: &[&str] = &["<=", ">=", "==", "!=", "<", ">", "+", "-", "*", "/", "(", ")"];
 
@@ -59,6 +62,9 @@ fn tokens(text: &str) -> Result<Vec<(usize, Token)>, Problem> {
             };
             at += symbol.len();
             tokens.push((start, Token::Symbol(symbol)));
+        }
+        if tokens.len() > MAX_TOKENS {
+            return Err(Problem(start, format!("too long: at most {MAX_TOKENS} words, numbers and symbols")));
         }
     }
     Ok(tokens)
@@ -100,9 +106,9 @@ struct Parser {
 
 impl Parser {
     fn whole(&mut self) -> Result<Condition, Problem> {
-        let condition = self.either()?.condition()?;
+        let value = self.either()?;
         match self.tokens.get(self.next) {
-            None => Ok(condition),
+            None => value.condition(),
             Some((position, token)) => Err(Problem(*position, format!("unexpected {token}"))),
         }
     }
