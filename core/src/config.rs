@@ -545,6 +545,11 @@ impl Config {
             );
             return Err(ConfigError::new("hidden", message));
         }
+        if (self.supervisors, self.supervisors_safe) != (1, 0) && self.env != "absent-supervisor" {
+            let key = if self.supervisors == 1 { "supervisors_safe" } else { "supervisors" };
+            let message = format!("{key}: supervisors watch absent-supervisor, not {}; leave it out", self.env);
+            return Err(ConfigError::new(key, message));
+        }
         if self.physics == Simulator::Mujoco && self.env != "reacher" {
             let message = format!("physics: MuJoCo moves Reacher, not {}; leave it out", self.env);
             return Err(ConfigError::new("physics", message));

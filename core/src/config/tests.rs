@@ -59,6 +59,10 @@ fn errors_say_what_and_what_to_do() {
         message("env=box-moving preset=small"),
         "preset: box-moving has no preset `small`, only reacher; use paper or release"
     );
+    let watched = "supervisors watch absent-supervisor, not box-moving; leave it out";
+    for key in ["supervisors", "supervisors_safe"] {
+        assert_eq!(message(&alloc::format!("env=box-moving {key}=12")), alloc::format!("{key}: {watched}"));
+    }
     assert_eq!(message("env=box-moving physics=mujoco"), "physics: MuJoCo moves Reacher, not box-moving; leave it out");
     assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
     assert_eq!(message("env=box-moving map=original"), "map: `original` is none of small");

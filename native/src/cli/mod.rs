@@ -152,6 +152,9 @@ pub fn main() -> ExitCode {
     };
     let mut terminal = Terminal::new(cli.global.color, cli.global.quiet, cli.global.verbose);
     let result = run(cli.command, &mut terminal).and_then(|done| Ok(terminal.out.flush().map(|()| done)?));
+    // Files name themselves in their errors; without a name it is that of the output.
+    let result =
+        result.map_err(|error| if is_full_stdout(&error) { error.context("cannot write to stdout") } else { error });
     match result {
         Ok(Done::Well) => ExitCode::SUCCESS,
         Ok(Done::DoesNotHold) => ExitCode::from(1),
@@ -194,6 +197,11 @@ fn run(command: Command, terminal: &mut Terminal) -> anyhow::Result<Done> {
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+fn is_full_stdout(error: &anyhow::Error) -> bool {
+    let full = |error: &io::Error| error.kind() == ErrorKind::StorageFull;
+    error.chain().count() == 1 && error.downcast_ref::<io::Error>().is_some_and(full)
 }
 
 /// The exit code of an error.

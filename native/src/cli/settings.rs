@@ -183,6 +183,9 @@ fn file(path: &Path) -> anyhow::Result<Vec<Given>> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| Usage(format!("--config {name}: {error}")))?;
     let table: toml::Table = text.parse().map_err(|error| Usage(format!("--config {name}: {error}")))?;
+    if table.contains_key("settings") && table.contains_key("seeds") {
+        usage!("--config {name}: this is the run.toml of a run, no file of settings; --resume goes on with its run");
+    }
     let given = table.into_iter().map(|(key, value)| {
         let value = match value {
             toml::Value::String(text) => text,

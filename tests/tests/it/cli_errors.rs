@@ -29,6 +29,7 @@ fn mistakes_in_settings() {
     fs::write(folder.join("typo.toml"), "treshold = 0.1\n").unwrap();
     fs::write(folder.join("list.toml"), "threshold = [1]\n").unwrap();
     fs::write(folder.join("broken.toml"), "threshold = \n").unwrap();
+    fs::write(folder.join("run.toml"), "seeds = [\"0\"]\n[settings]\nthreshold = { value = \"0.1\" }\n").unwrap();
     for (arguments, parts) in [
         ("train box-movin", &["did you mean `box-moving`?"][..]),
         ("train box-moving --scheme al", &["scheme: `al`", "did you mean `all`?"]),
@@ -54,6 +55,11 @@ fn mistakes_in_settings() {
         ),
         ("train box-moving --config list.toml", &["threshold has to be one value"]),
         ("train box-moving --config broken.toml", &["--config broken.toml: "]),
+        ("train box-moving --config run.toml", &["--config run.toml: this is the run.toml of a run", "--resume"]),
+        (
+            "train box-moving --set supervisors=12",
+            &["supervisors: supervisors watch absent-supervisor, not box-moving"],
+        ),
         ("train", &["<ENV>"]),
         ("trian box-moving", &["train"]),
         ("completions tcsh", &["tcsh"]),

@@ -162,7 +162,12 @@ impl Game {
         let mut line = String::new();
         for number in 1.. {
             line.clear();
-            if self.is_over() || input.read_line(&mut line)? == 0 {
+            if self.is_over() {
+                break;
+            }
+            let read = input.read_line(&mut line);
+            let Ok(length) = read else { usage!("line {number} of stdin is no text: write actions by their names") };
+            if length == 0 {
                 break;
             }
             for word in line.split_whitespace() {
