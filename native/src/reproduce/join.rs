@@ -132,7 +132,7 @@ mod tests {
         let timed = |seeds: &[u64]| Record { trained_ms: Some(40), ..of(seeds) };
         let time = |record: Option<Record>| record.unwrap().trained_ms;
         assert_eq!((time(timed(&[0, 1, 2]).only(&[0, 1])), time(timed(&[0, 1]).only(&[0, 1, 2]))), (None, Some(40)));
-        assert_eq!((time(timed(&[0]).join(&timed(&[1]))), time(timed(&[0]).join(&of(&[1])))), (Some(80), None));
+        assert_eq!((time(timed(&[0]).join(&timed(&[1]))), time(timed(&[0]).join(&bare(of(&[1]))))), (Some(80), None));
         assert_eq!(time(timed(&[0, 1]).join(&timed(&[1, 2]))), None, "of the second, seed 2 alone was used");
         assert_eq!(time(timed(&[0, 1]).join(&timed(&[1]))), Some(40), "of the second, nothing was used");
     }
