@@ -231,15 +231,8 @@ impl Found {
     pub fn read(reference: &Reference) -> anyhow::Result<Self> {
         let place = Place::find(&reference.place)?;
         let plan = Plan::read(&place.run)?;
-        let seed = place.seed.unwrap_or(plan.seeds[0]);
-        let (dir, path) = (place.run.seed(seed), place.run.path().display());
-        if !plan.seeds.contains(&seed) {
-            let there: Vec<String> = plan.seeds.iter().map(u64::to_string).collect();
-            super::usage!("{path} has no seed {seed}: there are {}", there.join(", "));
-        }
-        if !dir.path().exists() {
-            super::usage!("{path} has not begun seed {seed} yet");
-        }
+        let dir = named_seed(&place, &plan)?;
+        let (seed, path) = (dir.seed(), place.run.path().display());
         let mut lines = runs::ledger(&dir)?;
         let (count, number) = (lines.len(), reference.number);
         // Without a seed it is the first one; who meant a later one is told where the check is.
@@ -264,6 +257,20 @@ impl Found {
     pub fn line(&self) -> &LedgerLine {
         self.lines.last().expect("checks are counted from 1")
     }
+}
+
+/// The seed that a place names, or the first one of its run. It has to be of the run and begun.
+pub fn named_seed(place: &Place, plan: &Plan) -> anyhow::Result<SeedDir> {
+    let (path, seed) = (place.run.path().display(), place.seed.unwrap_or(plan.seeds[0]));
+    if !plan.seeds.contains(&seed) {
+        let there: Vec<String> = plan.seeds.iter().map(u64::to_string).collect();
+        super::usage!("{path} has no seed {seed}: there are {}", there.join(", "));
+    }
+    let dir = place.run.seed(seed);
+    if !dir.path().exists() {
+        super::usage!("{path} has not begun seed {seed} yet");
+    }
+    Ok(dir)
 }
 
 /// Fails unless `number` is one of the `count` checks of a run or seed.

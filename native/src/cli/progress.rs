@@ -140,42 +140,36 @@ fn show_seed(plan: &Plan, multi: &MultiProgress, total: &ProgressBar, view: &See
     let (done, all) = work(plan, view);
     bar.set_prefix(format!("seed {}", view.seed));
     bar.set_position((SCALE * done / all) as u64);
-    bar.set_message(short(view));
-}
-
-/// Leg, step, return and performance, refusals and checks: what 52 columns hold. The bar of all explains it.
-fn short(view: &SeedView) -> String {
-    let Some(progress) = &view.progress else { return String::new() };
-    let mut text = format!("{} {}/{}", progress.arm.name(), progress.step, progress.steps);
-    if let Some(point) = &view.evaluation {
-        text.push_str(&format!(" return {:.1}/{:.1}", point.observed_return, point.performance));
-    }
-    if progress.arm == Arm::Mc {
-        text.push_str(&format!(" refused {}/{}", progress.refusals, progress.checks));
-    }
-    text
+    bar.set_message(figures(view, true));
 }
 
 /// One line about everything.
 fn plain(plan: &Plan, views: &[SeedView], share: f64, eta: &str) -> String {
     let mut line = format!("{}: {:.0} %, {eta}", plan.config.env, 100.0 * share);
     for view in views.iter().filter(|view| !view.over && view.progress.is_some()) {
-        line.push_str(&format!("; seed {} {}", view.seed, figures(view)));
+        line.push_str(&format!("; seed {} {}", view.seed, figures(view, false)));
     }
     line
 }
 
-/// Leg, step, return, performance, checks, refusals and the share of updates that forecasts took.
-fn figures(view: &SeedView) -> String {
+/// Leg, step, return, performance, checks, refusals and the share of updates that forecasts took; `short` for a bar, which
+/// leaves it 52 columns: the bar of all says what its pairs of numbers are.
+fn figures(view: &SeedView, short: bool) -> String {
     let Some(progress) = &view.progress else { return String::new() };
     let mut text = format!("{} {}/{}", progress.arm.name(), progress.step, progress.steps);
     if let Some(point) = &view.evaluation {
-        text.push_str(&format!(" return {:.1} performance {:.1}", point.observed_return, point.performance));
+        let between = if short { "/" } else { " performance " };
+        text.push_str(&format!(" return {:.1}{between}{:.1}", point.observed_return, point.performance));
     }
     if progress.arm == Arm::Mc {
+        let (checks, refusals) = (progress.checks, progress.refusals);
         let all = progress.updates + progress.forecast_updates;
         let share = 100.0 * progress.forecast_updates as f64 / (all.max(1)) as f64;
-        text.push_str(&format!(" checks {} refused {} ({share:.0} % forecasting)", progress.checks, progress.refusals));
+        text.push_str(&if short {
+            format!(" refused {refusals}/{checks}")
+        } else {
+            format!(" checks {checks} refused {refusals} ({share:.0} % forecasting)")
+        });
     }
     text
 }

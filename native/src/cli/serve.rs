@@ -18,6 +18,7 @@ use tower_http::compression::CompressionLayer;
 use tower_http::services::ServeDir;
 use tower_http::set_header::SetResponseHeaderLayer;
 
+use super::inspect::named_seed;
 use super::terminal::Terminal;
 use super::{Done, usage};
 
@@ -78,10 +79,7 @@ impl Shown {
     pub(super) fn find(path: &Path) -> anyhow::Result<Self> {
         let place = Place::find(path)?;
         let plan = Plan::read(&place.run)?;
-        let seed = place.seed.unwrap_or(plan.seeds[0]);
-        if !place.run.seed(seed).path().exists() {
-            usage!("{} has not begun seed {seed} yet", place.run.path().display());
-        }
+        let seed = named_seed(&place, &plan)?.seed();
         Ok(Self { run: place.run, seed })
     }
 }

@@ -49,6 +49,24 @@ impl FileDigest {
         let (bytes, digest) = File::open(path).and_then(sha256_of).map_err(RunsError::io("read", path))?;
         Ok(Self { bytes, sha256: hex(&digest.finalize()) })
     }
+
+    /// What is wrong with a file that should have this digest, in words; none where it has.
+    ///
+    /// # Errors
+    /// If it is there and cannot be read.
+    pub fn mismatch(&self, path: &Path) -> Result<Option<String>, RunsError> {
+        if !path.exists() {
+            return Ok(Some("missing".to_owned()));
+        }
+        let found = Self::of(path)?;
+        Ok(if found.bytes < self.bytes {
+            Some(format!("cut off: {} bytes of {}", found.bytes, self.bytes))
+        } else if found != *self {
+            Some("altered: its digest is not the one in manifest.json".to_owned())
+        } else {
+            None
+        })
+    }
 }
 
 /// What made a run, and what it made.
@@ -170,22 +188,15 @@ impl Manifest {
         self.files.contains_key(&name(run, &seed.metrics()))
     }
 
-    /// Compares the logs that results are read from, those of finished seeds, with their digests.
+    /// Compares the logs that results are read from with their digests, where the seed is finished.
     ///
     /// # Errors
     /// If one is missing, cut off, altered or cannot be read.
-    pub fn check_logs(&self, run: &RunDir) -> Result<(), RunsError> {
-        let why = |what: &str| format!("{what}: `mcvl verify` lists all that is; put it back, or train the run anew");
-        for (name, expected) in &self.files {
-            if !(name.ends_with("metrics.jsonl") || name.ends_with("ledger.jsonl")) {
-                continue;
-            }
-            let path = run.path().join(name);
-            if !path.exists() {
-                return Err(RunsError::damaged(&path, why("is missing")));
-            }
-            if FileDigest::of(&path)? != *expected {
-                return Err(RunsError::damaged(&path, why("is not what training wrote")));
+    pub fn check_logs(&self, run: &RunDir, seed: &SeedDir) -> Result<(), RunsError> {
+        for path in [seed.metrics(), seed.ledger()] {
+            let Some(expected) = self.files.get(&name(run, &path)) else { continue };
+            if let Some(what) = expected.mismatch(&path)? {
+                return Err(RunsError::damaged(&path, format!("{what}; put it back, or train the run anew")));
             }
         }
         Ok(())

@@ -8,7 +8,7 @@ use mcvl_core::config::Learner;
 use mcvl_core::record::{CheckRecord, Event};
 
 use super::chain::{Chain, LedgerLine};
-use super::{FileDigest, Manifest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun, manifest};
+use super::{FileDigest, Manifest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun};
 
 impl RunSet {
     /// Reads the run that `path` names: a run directory, or the folder of one seed in it. What an
@@ -20,35 +20,18 @@ impl RunSet {
         let place = Place::find(path)?;
         let plan = Plan::read(&place.run)?;
         let wanted = plan.seeds.iter().filter(|seed| place.seed.is_none_or(|only| only == **seed));
-        let folders = wanted.map(|seed| place.run.seed(*seed)).filter(|dir| dir.path().exists());
         // A run that was killed at its very beginning has no manifest yet.
         let manifest = place.run.manifest().exists().then(|| Manifest::read(&place.run)).transpose()?;
+        let finished = |dir: &SeedDir| manifest.as_ref().is_some_and(|manifest| manifest.knows(&place.run, dir));
+        let folders = wanted.map(|seed| place.run.seed(*seed)).filter(|dir| dir.path().exists() || finished(dir));
+        // A part of a finished log would read like that of a seed under way.
         let read = |dir: SeedDir| {
-            if let Some(manifest) = &manifest {
-                whole(&place.run, &dir, manifest)?;
-            }
+            manifest.iter().try_for_each(|manifest| manifest.check_logs(&place.run, &dir))?;
             SeedRun::read(&dir, &plan)
         };
         let seeds = folders.map(read).collect::<Result<_, _>>()?;
         Ok(Self { path: path.to_owned(), config: plan.config, seeds })
     }
-}
-
-/// Makes sure that the logs of a finished seed are as long as they were: a part of them reads like a seed under way.
-fn whole(run: &RunDir, dir: &SeedDir, manifest: &Manifest) -> Result<(), RunsError> {
-    for path in [dir.metrics(), dir.ledger()] {
-        let Some(expected) = manifest.files.get(&manifest::name(run, &path)) else { continue };
-        // What is missing is found on reading.
-        let Ok(there) = fs::metadata(&path) else { continue };
-        if there.len() < expected.bytes {
-            let (there, expected) = (there.len(), expected.bytes);
-            return Err(RunsError::damaged(
-                &path,
-                format!("is cut off, {there} bytes of {expected}: put it back, or train the run anew"),
-            ));
-        }
-    }
-    Ok(())
 }
 
 impl SeedRun {

@@ -78,15 +78,8 @@ pub fn verify(run: &RunDir) -> Result<Verification, RunsError> {
 
 fn compare(run: &RunDir, path: &Path, expected: &FileDigest, seen: &mut Verification) -> Result<(), RunsError> {
     seen.files += 1;
-    if !path.exists() {
-        seen.find(run, path, "missing");
-        return Ok(());
-    }
-    let found = FileDigest::of(path)?;
-    if found.bytes < expected.bytes {
-        seen.find(run, path, format!("cut off: {} bytes of {}", found.bytes, expected.bytes));
-    } else if found != *expected {
-        seen.find(run, path, "altered: its digest is not the one in manifest.json");
+    if let Some(what) = expected.mismatch(path)? {
+        seen.find(run, path, what);
     }
     Ok(())
 }

@@ -133,7 +133,7 @@ fn mistakes_about_runs() {
         ("export run --to tape -o both.json", &["both.json is one file for 2 tapes", "--seed"]),
         ("report run --modules other", &["there are no modules in other: scalar.js is missing", "cargo xtask web"]),
         ("page none", &["there is no run at none"]),
-        ("page run/seed-9", &["seed 9"]),
+        ("page run/seed-9", &["run has no seed 9: there are 0, 3"]),
         ("page run --tape sent.json", &["cannot be used with"]),
         ("page --tape sent.json", &["there is no tape at sent.json", "mcvl export RUN --to tape"]),
         ("page --tape run/manifest.json", &["run/manifest.json is no tape", "mcvl export RUN --to tape"]),
@@ -167,6 +167,15 @@ fn places_that_cannot_be_written() {
 }
 
 /// A write that fails in the middle, as on a full disk: files may not grow beyond some length.
+#[test]
+fn an_output_that_takes_nothing_is_named() {
+    let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").unwrap());
+    let output = program(scratch().path()).arg("envs").stdout(full()).stderr(Stdio::piped()).output().unwrap();
+    let answer = Answer::from(output);
+    assert_eq!(answer.code, 3, "{}", answer.stderr);
+    assert!(answer.stderr.starts_with("error: cannot write to stdout: No space left"), "{}", answer.stderr);
+}
+
 #[test]
 fn a_full_disk_loses_nothing() {
     let folder = finished();

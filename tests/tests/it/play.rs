@@ -10,14 +10,14 @@ use mcvl_tests::{mcvl, scratch};
 use crate::cli::{Answer, json, ok, program};
 
 /// Plays with this text on stdin.
-fn play(arguments: &str, text: &str) -> Answer {
+fn play(arguments: &str, text: impl AsRef<[u8]>) -> Answer {
     let folder = scratch();
     let mut command = program(folder.path());
     command.arg("play").args(arguments.split(' '));
     let mut child =
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("mcvl starts");
     // It may be done before it has read everything.
-    let _ = child.stdin.take().expect("stdin is a pipe").write_all(text.as_bytes());
+    let _ = child.stdin.take().expect("stdin is a pipe").write_all(text.as_ref());
     child.wait_with_output().expect("mcvl ends").into()
 }
 
@@ -105,6 +105,8 @@ fn mistakes_are_named() {
         assert_eq!(answer.code, 2, "{arguments}: {}", answer.stderr);
         assert!(answer.stderr.contains(part), "{arguments}: {}", answer.stderr);
     }
+    let answer = play("box-moving", b"d\n\xff\n");
+    assert_eq!((answer.code, answer.stderr.contains("line 2 of stdin is no text")), (2, true), "{}", answer.stderr);
 }
 
 /// What a terminal shows on which a shell runs `line`; when the second screen appears, `keys` are typed.

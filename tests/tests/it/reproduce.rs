@@ -214,7 +214,7 @@ fn what_does_not_fit_is_said_and_left_alone() {
     ok(folder, &format!("{ONE} -o set"));
     // A finished cell whose logs are not what training wrote gives no numbers, neither here nor elsewhere.
     fs::remove_file(folder.join("set/records/box-forecast-100.record.json")).unwrap();
-    for (log, part) in [("ledger", "is not what training wrote"), ("metrics", "is missing")] {
+    for (log, part) in [("ledger", "altered: its digest"), ("metrics", "metrics.jsonl: missing")] {
         let path = folder.join(format!("set/cells/box-forecast-100/seed-3/{log}.jsonl"));
         let bytes = fs::read(&path).unwrap();
         if log == "ledger" {
@@ -249,6 +249,21 @@ fn repeated_checks_are_measured_and_resumed() {
     let record = json(&fs::read_to_string(folder.join("straight/records/absent-spread.record.json")).unwrap());
     let checks = record["spread"]["checks"].as_array().unwrap();
     assert_eq!((checks.len(), checks[0]["paired"]["margins"].as_array().unwrap().len()), (3, 5));
+}
+
+#[test]
+fn seeds_without_a_time_of_their_own_say_nothing_of_cost() {
+    let folder = scratch();
+    let of = |seeds: &str| {
+        let results = root().join("results");
+        ok(folder.path(), &format!("reproduce E20 --evaluate --seeds {seeds} --from {} -o out", results.display()))
+    };
+    assert!(of("0..10").contains("HOLDS"));
+    let part = of("0..4");
+    assert!(
+        part.contains("not measured") && part.contains("its records lack wall times of just these seeds"),
+        "{part}"
+    );
 }
 
 /// The page of results is what the program makes of the committed records, and its figures are there.

@@ -2,7 +2,7 @@
 
 mod screen;
 
-use std::io::{self, BufRead, IsTerminal as _, Write as _};
+use std::io::{self, BufRead, ErrorKind, IsTerminal as _, Write as _};
 
 use clap::Args;
 use mcvl::report::film;
@@ -165,10 +165,13 @@ impl Game {
             if self.is_over() {
                 break;
             }
-            let read = input.read_line(&mut line);
-            let Ok(length) = read else { usage!("line {number} of stdin is no text: write actions by their names") };
-            if length == 0 {
-                break;
+            match input.read_line(&mut line) {
+                Ok(0) => break,
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::InvalidData => {
+                    usage!("line {number} of stdin is no text: write actions by their names");
+                }
+                Err(error) => return Err(error.into()),
             }
             for word in line.split_whitespace() {
                 let Some(inputs) = inputs(word, self.names) else {
