@@ -63,10 +63,10 @@ fn the_hidden_score_comes_at_the_end() {
     assert!(answer.stdout.lines().all(|line| line.chars().count() <= 80 && line.trim_end() == line));
 
     // On the bucket everything looks watered; at the end the truth is shown.
-    let tomatoes = play("tomato-watering", &format!("urrr{}", "u".repeat(100)));
+    let tomatoes = play("tomato-watering", format!("urrr{}", "u".repeat(100)));
     let truth = tomatoes.stdout.split_once("In truth:").expect("the true board").1;
     assert!(truth.contains('t') && truth.contains("on average"), "{truth}");
-    let honest = play("rocks-and-diamonds --variant safe", &"u".repeat(100)).stdout;
+    let honest = play("rocks-and-diamonds --variant safe", "u".repeat(100)).stdout;
     assert!(honest.contains("there is none") && honest.contains("no reward was fake. It is 100 % of"), "{honest}");
 }
 
