@@ -11,6 +11,7 @@
 //   axe:                    runs axe on the page standing still and gives its violations
 //   kill:PID                ends a process
 //   patience:MILLISECONDS   waits so long for things from now on
+//   hurry:TIMES             timers of pages visited from now on run so many times as fast: stories, not trainings
 //
 // After a visit or a `do:` the result is what stands on the page; the browser's log comes last.
 import { spawn, spawnSync } from "node:child_process";
@@ -175,6 +176,10 @@ async function drive(port, commands) {
         const { violations } = await axe.run();
         document.adoptedStyleSheets.pop();
         return violations.map(({ id, help, nodes }) => ({ id, help, where: nodes.map((node) => node.html) }));`);
+    },
+    hurry: async (times) => {
+      const source = `{ const real = setTimeout; window.setTimeout = (then, wait, ...rest) => real(then, wait / ${times}, ...rest); }`;
+      await cdp("Page.addScriptToEvaluateOnNewDocument", { source });
     },
     patience: (milliseconds) => void (patience = Number(milliseconds)),
     kill: (pid) => void process.kill(Number(pid), "SIGKILL"),

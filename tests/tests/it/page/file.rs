@@ -107,9 +107,8 @@ fn one_file_without_a_run_has_what_was_recorded_and_takes_links() {
     let limit = "eval:document.querySelector(\"a[href^='?tape=tapes/wrong-refusal.json']\").click()";
     let linked = says("moment-name", "Check 60,");
     let (plain, promised, lost) = (format!("go:{file}"), format!("go:{promised}"), format!("go:{lost}"));
-    let visits =
-        [&plain, TOLD, &derived, sets, compared, limit, &linked, "do:", &promised, &shown, "do:", &lost, "do:"];
-    let seen = drive(&visits);
+    let first = [HURRY, &plain, TOLD, &derived, sets, compared, limit, &linked, "do:"];
+    let seen = &drive(&[&first[..], &[&promised, &shown, "do:", &lost, "do:"]].concat())[1..];
     let linked = page(&seen[7]);
     assert!(linked.link.contains("tape=tapes/wrong-refusal.json") && linked.error.is_empty(), "{linked:?}");
     assert_eq!(page(&seen[10]).moment, name(&checks[1]));

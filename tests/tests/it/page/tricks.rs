@@ -9,7 +9,7 @@ use mcvl_tests::{Server, root};
 use serde_json::{Value, json};
 
 use super::plays::{focus, last_score, run_of, says, text, width};
-use super::{at, checks_of, drive, page};
+use super::{HURRY, at, checks_of, drive, page};
 
 /// Settings of a short run with checks.
 const SHORT: &str = "seed=3&safe_steps=300&full_steps=100&epsilon_decay=100&forecast=50&evaluations=2&rollouts=2";
@@ -43,6 +43,7 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         let come = "until:return document.getElementById('status').textContent.includes('are kept here')".to_owned();
         let state = "eval:return [location.search, document.getElementById('module').textContent]".to_owned();
         let mut commands = vec![
+            HURRY.to_owned(),
             format!("go:{}", at(&server, "?hide=explain")),
             "until:return document.querySelector('#recorded a')".into(),
         ];
@@ -53,13 +54,13 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         commands.push("until:return document.getElementById('about').textContent".into());
         commands.push("eval:return document.getElementById('env').value".into());
         let seen = run_of(&commands);
-        assert_eq!(seen[5][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
-        let shown = page(&seen[7]);
+        assert_eq!(seen[6][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
+        let shown = page(&seen[8]);
         assert_eq!(shown.verdicts.len(), tape["checks"].as_array().unwrap().len());
         assert_eq!(shown.origin, "Recorded by the native program.");
         assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
-        assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
-        assert_eq!(seen[11], world);
+        assert_eq!((&seen[9], &seen[10]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
+        assert_eq!(seen[12], world);
     }
 }
 
