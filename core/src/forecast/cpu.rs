@@ -27,7 +27,6 @@ struct Future<E, A: Agent> {
     agent: A,
     forced: Forced<A::Action>,
     draws: Rng,
-    noise: Rng,
     /// Updates made and to be made, those of the reward model included.
     done: u32,
     total: u32,
@@ -46,7 +45,6 @@ impl<E: Environment<Action = A::Action>, A: Agent> Future<E, A> {
             agent: job.agent.for_forecast(job.carry),
             forced: Forced::new(job.forced, job.replay),
             draws: Rng::stream(job.seed, Purpose::ForecastBatch, job.version),
-            noise: Rng::stream(job.seed, Purpose::ForecastUpdate, job.version),
             done: 0,
             total: job.value_updates() + job.reward_updates(),
             practising: job.practice.as_ref().map(|practice| Practising::new(practice, job)),
@@ -56,17 +54,18 @@ impl<E: Environment<Action = A::Action>, A: Agent> Future<E, A> {
     /// One update, of the reward model's copy first, then of the learner with a step of practice; its loss.
     fn update(&mut self, job: &ForecastJob<'_, E, A>, batch: &mut Minibatch<A::Action>, slots: &mut Vec<u32>) -> f32 {
         self.done += 1;
+        let mut stream = job.update_stream(self.done);
         let Some(practising) = &mut self.practising else {
             draw_slots(job.replay.len(), job.batch, &mut self.draws, slots);
             batch.gather(job.replay, slots, &self.forced);
-            return self.agent.update(batch, &mut self.noise);
+            return self.agent.update(batch, &mut stream);
         };
         if self.done <= job.reward_updates() {
             return practising.train(job.batch, &self.forced, batch, slots);
         }
         draw_slots(practising.replay().len(), job.batch, &mut self.draws, slots);
         batch.gather(practising.replay(), slots, &self.forced);
-        let loss = self.agent.update(batch, &mut self.noise);
+        let loss = self.agent.update(batch, &mut stream);
         practising.step(&self.agent);
         // Numbers of observations are those of the buffer as it is now.
         self.forced = Forced::new(job.forced, practising.replay());
@@ -125,9 +124,9 @@ mod tests {
 
     const SPEC: ObservationSpec = ObservationSpec { width: 3, binary: true };
 
-    /// A learner that only remembers the rewards of the batches it was given.
+    /// A learner that only remembers the rewards of the batches it was given, each with a number that it drew.
     #[derive(Clone, Debug, PartialEq)]
-    struct Diary(Vec<Vec<f32>>);
+    struct Diary(Vec<Vec<(f32, u64)>>);
 
     impl Agent for Diary {
         type Action = Discrete;
@@ -140,8 +139,8 @@ mod tests {
         fn target_values(&self, rows: &Rows, _: &mut Scratch, values: &mut Vec<f32>) {
             *values = vec![0.0; rows.len()];
         }
-        fn update(&mut self, batch: &Minibatch<Discrete>, _: &mut Rng) -> f32 {
-            self.0.push(batch.rewards.clone());
+        fn update(&mut self, batch: &Minibatch<Discrete>, rng: &mut Rng) -> f32 {
+            self.0.push(batch.rewards.iter().map(|&reward| (reward, rng.next_u64())).collect());
             0.0
         }
         fn for_forecast(&self, _: Carry) -> Self {
@@ -200,7 +199,7 @@ mod tests {
         futures
     }
 
-    /// Specification R14 and R17.
+    /// Specification R14 and R17. What TD3 draws for each sample, noise of its target action, is the same too.
     #[test]
     fn both_futures_draw_the_same_batches_and_one_contains_the_transition_in_each() {
         let (fresh, replay, forced) = (Diary(Vec::new()), replay(), [transition(-7.0)]);
@@ -210,7 +209,8 @@ mod tests {
         for (with, without) in futures[0].0.iter().zip(&futures[1].0) {
             assert_eq!(without.len(), 32);
             assert_eq!(with[..32], without[..]);
-            assert_eq!(with[32..], [-7.0]);
+            let [(reward, _)] = with[32..] else { panic!("one transition is forced: {with:?}") };
+            assert_eq!(reward, -7.0);
         }
         assert!(futures[1].0.windows(2).all(|pair| pair[0] != pair[1]), "every update draws anew");
     }

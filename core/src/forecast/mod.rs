@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::agent::Agent;
 use crate::env::Action;
 use crate::replay::{ReplayBuffer, Transition};
+use crate::rng::{Purpose, Rng};
 use crate::run::Budget;
 
 /// What a forecast takes along from the live learner besides its parameters (specification R15).
@@ -69,6 +70,13 @@ impl<E, A: Agent> ForecastJob<'_, E, A> {
     /// Updates of a copy of the reward model that will be made, before those of the value function.
     pub fn reward_updates(&self) -> u32 {
         if self.value_updates() == 0 { 0 } else { self.practice.as_ref().map_or(0, |practice| practice.reward_updates) }
+    }
+
+    /// Random numbers of update `number`, counted from 1 with those of the reward model's copy: in TD3 the noise of
+    /// target actions. Each update has a generator of its own, so that what a forced transition draws, last of its
+    /// mini-batch, moves nothing in the updates after it.
+    pub fn update_stream(&self, number: u32) -> Rng {
+        Rng::stream(self.seed, Purpose::ForecastUpdate, self.version).child(u64::from(number))
     }
 }
 

@@ -15,7 +15,6 @@ use mcvl_core::env::Continuous;
 use mcvl_core::forecast::ForecastJob;
 use mcvl_core::nn::optim::{BETA1, BETA2, EPSILON};
 use mcvl_core::replay::{Forced, NO_ROW, ReplayBuffer};
-use mcvl_core::rng::{Purpose, Rng};
 use wgpu::{CommandEncoder, ComputePipeline};
 
 use super::super::GpuError;
@@ -407,9 +406,11 @@ impl Packed {
         let learned = memory.len() as u32;
         let share = 1.0 / samples as f32;
         memory.extend((0..samples).map(|_| -share));
-        let mut stream = Rng::stream(job.seed, Purpose::ForecastUpdate, job.version);
-        let noise = (0..u64::from(updates) * u64::from(samples)).flat_map(|_| agent.target_noise(&mut stream));
-        let noise = noise.map(f32::to_bits).collect();
+        let mut noise = Vec::with_capacity(updates as usize * samples as usize * N);
+        for update in 1..=updates {
+            let mut stream = job.update_stream(update);
+            noise.extend((0..samples).flat_map(|_| agent.target_noise(&mut stream)).map(f32::to_bits));
+        }
         let steps = [updates / settings.policy_delay, updates, updates];
         let corrections = std::array::from_fn(|i| {
             let mut corrections = optimizers[i].corrections();
