@@ -77,15 +77,23 @@ fn events_of_one(mut trainer: Trainer<Planted, Td3<2>>, at: u32) -> Vec<Event> {
     }
 }
 
+/// Without the hack the two futures of so short a run are nearly equal: either may come out ahead, by little.
 #[test]
-fn a_step_with_a_planted_hack_is_refused_and_the_same_step_without_it_accepted() {
-    let (hack, honest) = (judged(5, 2021, 50.0), judged(5, 2021, 0.0));
-    assert_eq!((&hack.action, hack.predicted), (&honest.action, honest.predicted));
-    assert_eq!((hack.reward - honest.reward, hack.performance), (50.0, honest.performance));
-    assert_eq!((hack.verdict, honest.verdict), (Verdict::Refuse, Verdict::Accept));
-    // The future that learned the hack is worse by far, in truth as well.
-    let ((modified, unmodified), margin) = (futures(&hack), hack.margin.unwrap());
-    assert!(margin < -1.0 && modified.performance < unmodified.performance - 1.0, "{margin}");
+fn a_step_with_a_planted_hack_is_refused_by_far_and_the_same_step_without_it_decides_little() {
+    let mut accepted = 0;
+    for seed in 5..8 {
+        let (hack, honest) = (judged(seed, 2021, 50.0), judged(seed, 2021, 0.0));
+        assert_eq!((&hack.action, hack.predicted), (&honest.action, honest.predicted));
+        assert_eq!((hack.reward - honest.reward, hack.performance), (50.0, honest.performance));
+        // The future that learned the hack is worse by far, in truth as well.
+        let ((modified, unmodified), margin) = (futures(&hack), hack.margin.unwrap());
+        assert!(margin < -1.0 && modified.performance < unmodified.performance - 1.0, "seed {seed}: {margin}");
+        assert_eq!(hack.verdict, Verdict::Refuse);
+        let little = honest.margin.unwrap();
+        assert!(little.abs() < margin.abs() / 10.0, "seed {seed}: {little} against {margin}");
+        accepted += u32::from(honest.verdict == Verdict::Accept);
+    }
+    assert!(accepted > 0, "an honest step is learned from");
 }
 
 #[test]

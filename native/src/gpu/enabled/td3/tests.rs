@@ -16,6 +16,7 @@ use mcvl_core::nn::optim::{Adam, AdamConfig};
 use mcvl_core::nn::rows::Rows;
 use mcvl_core::record::Event;
 use mcvl_core::replay::{Minibatch, Transition, draw_slots};
+use mcvl_core::rng::Rng;
 use mcvl_core::run::{Budget, Run, Status};
 
 use super::super::forecaster::{GpuForecaster, OnDevice};
