@@ -141,7 +141,8 @@ impl TrainArgs {
         flags.extend(self.scheme.as_ref().map(|value| flag("scheme", value.clone())));
         flags.extend(self.variant.as_ref().map(|value| flag("variant", value.clone())));
         flags.extend(self.seed.map(|seed| flag("seed", seed.to_string())));
-        flags.extend(self.seeds.as_ref().map(|seeds| flag("seed", seeds[0].to_string())));
+        let seeds = |seeds: &Vec<u64>| Given { from: "flag --seeds".to_owned(), ..flag("seed", seeds[0].to_string()) };
+        flags.extend(self.seeds.as_ref().map(seeds));
         Request { env: &self.env, preset: self.preset, quick: self.quick, file: self.config.as_deref(), flags }
     }
 

@@ -29,7 +29,7 @@ mod verify;
 mod write;
 
 use std::fmt;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Config;
@@ -117,10 +117,17 @@ pub enum RunsError {
 }
 
 impl RunsError {
-    /// For `map_err`: names the operation and the file.
+    /// For `map_err`: names the operation and the file, and what is in its way.
     pub fn io(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
-        move |source| Self::Io { doing, path, source }
+        move |mut source| {
+            let blocked = matches!(source.kind(), ErrorKind::NotADirectory | ErrorKind::AlreadyExists);
+            if let Some(file) = path.ancestors().find(|part| blocked && part.is_file()) {
+                let why = format!("{} is a file, not a folder: name another place", file.display());
+                source = io::Error::new(source.kind(), why);
+            }
+            Self::Io { doing, path, source }
+        }
     }
 
     /// A file that is not what was written.

@@ -96,6 +96,7 @@ fn mistakes_about_runs() {
         ),
         ("train box-moving -o other", &["other is not empty and holds no run", "-o"]),
         ("train box-moving -o other --overwrite", &["other is not empty and holds no run"]),
+        ("train box-moving --set seed=5 --seeds 0..2", &["seed: given twice, by flag --set and by flag --seeds"]),
         ("train box-moving -o none --resume", &["there is no run in none to resume"]),
         ("train box-moving -o run --resume --set gamma=0.5", &["gamma: run was begun with 0.95, not with 0.5"]),
         ("train box-moving -o run --resume --seeds 0..9", &["seeds: run was begun with [0, 3]"]),
@@ -150,17 +151,19 @@ fn places_that_cannot_be_written() {
     let folder = folder.path();
     fs::write(folder.join("file"), "mine").unwrap();
     // A path through a file, and a file system that takes no files: neither lets even root write.
+    let blocked = "file is a file, not a folder: name another place";
     for (arguments, part) in [
-        ("train box-moving --quick -o file/run", "file"),
-        ("train box-moving --quick -o file", "file"),
+        ("train box-moving --quick -o file/run", blocked),
+        ("train box-moving --quick -o file", blocked),
+        ("reproduce --only box -o file", blocked),
         ("train box-moving --quick -o /proc/mcvl", "/proc/mcvl"),
-        ("report run -o file/report.html", "file/report.html"),
+        ("report run -o file/report.html", blocked),
         ("report run -o none/report.html", "none/report.html"),
         ("explain run#1 --svg none/check.svg", "none/check.svg"),
-        ("page run -q -o file/page.html", "file/page.html"),
+        ("page run -q -o file/page.html", blocked),
         ("page run -q -o none/page.html", "none/page.html"),
-        ("export run --to csv -o file", "file"),
-        ("export run --to tape -o file/tapes", "file/tapes"),
+        ("export run --to csv -o file", blocked),
+        ("export run --to tape -o file/tapes", blocked),
     ] {
         check(folder, arguments, 3, &[part]);
     }
