@@ -23,7 +23,7 @@ const STAGES: &[Stage] = &[
     ("setup", || setup::ensure(Purpose::Test)),
     ("format", || run(cargo().args(["fmt", "--all", "--check"]))),
     ("lint", lint),
-    ("core alone on a bare target", || run(cargo().args(["check", "--package", "mcvl-core", "--target", BARE]))),
+    ("core alone on a bare target", || run(cargo().args(["build", "--package", "mcvl-core", "--target", BARE]))),
     ("web", web::build),
     ("build", || run(cargo().arg("build").args(everything()).arg("--all-targets"))),
     ("tests", tests),

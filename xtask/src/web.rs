@@ -3,7 +3,6 @@
 use std::env;
 use std::fs::{self, File};
 use std::io;
-use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::thread;
 
@@ -40,9 +39,8 @@ const LATER_BUDGET: u64 = 15_000;
 pub fn build() -> Result<()> {
     // At once: each is linked as one piece, on one core.
     let (glue, modules) = thread::scope(|scope| {
-        let modules = MODULES.iter().map(|(name, flags)| scope.spawn(|| compile(name, flags)));
-        let modules: Vec<_> = modules.collect();
-        let join = |module: thread::ScopedJoinHandle<'_, _>| module.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let modules: Vec<_> = MODULES.iter().map(|(name, flags)| scope.spawn(|| compile(name, flags))).collect();
+        let join = |module: thread::ScopedJoinHandle<'_, _>| module.join().expect("compiling reports what goes wrong");
         (build_glue(), modules.into_iter().map(join).collect::<Vec<_>>())
     });
     let (glue, folder) = (glue?, process::root().join("www/pkg"));

@@ -144,10 +144,9 @@ fn without_its_further_workers_a_run_goes_on_by_itself() {
             added("data.kind === 'forecast' && postMessage({ ...data, job: null, future: new Uint8Array(40) })"),
         ),
     ];
-    let link = LINK.replace("full_steps=100", "full_steps=20&scheme=all");
-    let tokens = Value::Array(tokens_of(&link, &checks_of(&format!("env=box-moving {}", link.replace('&', " ")))));
+    let tokens = Value::Array(tokens_of(LINK, &native_checks()));
     for (how, (_folder, server)) in pages {
-        let link = at(&server, &format!("?{link}"));
+        let link = at(&server, &format!("?{LINK}"));
         let (_, seen) = drive_and_listen(&[&cores(4), &link, TOKENS]);
         let page = page(&seen[1]);
         assert!(page.status.starts_with("Done in") && page.error.is_empty(), "workers that {how}: {page:?}");
