@@ -318,15 +318,15 @@ fn a_token_opens_the_same_moment_here_and_in_the_terminal() {
     let link = at(&server, &format!("?{LINK}&check=2"));
     let shown = page(&drive(&[&link])[0]);
     assert!(shown.token.starts_with("mcvl1."), "{shown:?}");
-    let again = page(&drive(&[&at(&server, &format!("?token={}", shown.token))])[0]);
+    let next = "do:document.getElementById('next').click(); await new Promise((go) => setTimeout(go, 300))";
+    let seen = drive(&[&at(&server, &format!("?token={}", shown.token)), next]);
+    let (again, beside) = (page(&seen[0]), page(&seen[1]));
     assert_eq!([&again.moment, &again.stamp, &again.token], [&shown.moment, &shown.stamp, &shown.token]);
     assert!(again.origin.ends_with("the decision that the token promises, to the last bit."), "{}", again.origin);
     assert!(again.link.contains("safe_steps=300") && again.link.contains("check=2"), "{}", again.link);
     let replayed = run(Command::new(mcvl()).args(["replay", &shown.token])).unwrap();
     assert!(replayed.contains("SAME"), "{replayed}");
 
-    let next = "do:document.getElementById('next').click(); await new Promise((go) => setTimeout(go, 300))";
-    let beside = page(&drive(&[&at(&server, &format!("?token={}", shown.token)), next])[1]);
     assert!(beside.moment.starts_with("Check 3,") && beside.origin.ends_with("seconds."), "{}", beside.origin);
 
     let cut = &shown.token[..shown.token.len() - 3];

@@ -145,12 +145,15 @@ fn without_its_further_workers_a_run_goes_on_by_itself() {
         ),
     ];
     let tokens = Value::Array(tokens_of(LINK, &native_checks()));
-    for (how, (_folder, server)) in pages {
-        let link = at(&server, &format!("?{LINK}"));
-        let (_, seen) = drive_and_listen(&[&cores(4), &link, TOKENS]);
-        let page = page(&seen[1]);
+    let mut commands = vec![cores(4)];
+    for (_, (_folder, server)) in &pages {
+        commands.extend([at(server, &format!("?{LINK}")), TOKENS.to_owned()]);
+    }
+    let (_, seen) = drive_and_listen(&commands.iter().map(String::as_str).collect::<Vec<_>>());
+    for ((how, _), seen) in pages.iter().zip(seen[1..].chunks(2)) {
+        let page = page(&seen[0]);
         assert!(page.status.starts_with("Done in") && page.error.is_empty(), "workers that {how}: {page:?}");
-        assert_eq!(seen[2], tokens, "workers that {how}");
+        assert_eq!(seen[1], tokens, "workers that {how}");
     }
 }
 

@@ -36,31 +36,34 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
     let seen = drive(&[&format!("go:{}", at(&server, "?hide=explain")), links]);
     let links: Vec<String> = serde_json::from_value(seen[1].clone()).unwrap();
     assert_eq!(links.len(), 5, "a link for every world");
+    let mut commands = vec![HURRY.to_owned()];
     for link in &links[1..] {
-        let world = link.strip_prefix("?env=").unwrap();
-        let tape = read(&format!("tapes/{world}.json"));
         // From the first page, without loading another one.
         let come = "until:return document.getElementById('status').textContent.includes('are kept here')".to_owned();
         let state = "eval:return [location.search, document.getElementById('module').textContent]".to_owned();
-        let mut commands = vec![
-            HURRY.to_owned(),
+        commands.extend([
             format!("go:{}", at(&server, "?hide=explain")),
             "until:return document.querySelector('#recorded a')".into(),
-        ];
+        ]);
         commands.push("eval:window.stays = true".into());
         commands.push(format!("eval:document.querySelector(\"#recorded a[href='{link}']\").click()"));
         commands.extend([come, state, TOLD.into(), "do:".into(), "eval:return stays".into(), "axe:".into()]);
         // The form is that of the tape, to be run or changed.
         commands.push("until:return document.getElementById('about').textContent".into());
         commands.push("eval:return document.getElementById('env').value".into());
-        let seen = run_of(&commands);
-        assert_eq!(seen[6][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
-        let shown = page(&seen[8]);
+    }
+    let seen = run_of(&commands);
+    let each = seen[1..].chunks(commands[1..].len() / (links.len() - 1));
+    for (link, seen) in links[1..].iter().zip(each) {
+        let world = link.strip_prefix("?env=").unwrap();
+        let tape = read(&format!("tapes/{world}.json"));
+        assert_eq!(seen[5][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
+        let shown = page(&seen[7]);
         assert_eq!(shown.verdicts.len(), tape["checks"].as_array().unwrap().len());
         assert_eq!(shown.origin, "Recorded by the native program.");
         assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
-        assert_eq!((&seen[9], &seen[10]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
-        assert_eq!(seen[12], world);
+        assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
+        assert_eq!(seen[11], world);
     }
 }
 
@@ -75,18 +78,20 @@ fn short_tapes_are_derived_again_to_the_last_bit() {
     };
     let short: Vec<String> = tapes().into_iter().filter(is_short).collect();
     assert!(short.len() >= 5, "{short:?}");
-    for name in short {
-        let count = read(&name)["checks"].as_array().unwrap().len();
-        // They cost seconds, on a busy machine minutes, also where forecasts are all there is to measure.
-        let price = "until:return /about \\d+ (s|min)/.test(document.getElementById('again').textContent)".to_owned();
-        let commands = vec![
+    // They cost seconds, on a busy machine minutes, also where forecasts are all there is to measure.
+    let price = "until:return /about \\d+ (s|min)/.test(document.getElementById('again').textContent)";
+    let derive = |name: &String| {
+        [
             format!("go:{}", at(&server, &format!("?tape={name}"))),
-            price,
+            price.to_owned(),
             "eval:document.getElementById('again').click()".to_owned(),
             says("status", "came out again"),
             text("status"),
-        ];
-        let seen = run_of(&commands);
+        ]
+    };
+    let seen = run_of(&short.iter().flat_map(derive).collect::<Vec<_>>());
+    for (name, seen) in short.iter().zip(seen.chunks(5)) {
+        let count = read(name)["checks"].as_array().unwrap().len();
         let all = format!(" {count} of {count} recorded decisions came out again, to the last bit.");
         assert!(seen[4].as_str().unwrap().ends_with(&all), "{name}: {}", seen[4]);
     }
@@ -269,7 +274,7 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
     let server = Server::start(None);
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("walks");
     fs::create_dir_all(&folder).unwrap();
-    for walk in walks {
+    for (index, walk) in walks.iter().enumerate() {
         // What fades in begins to when the verdict was told.
         let still = "until:const [told] = performance.getEntriesByName('verdict'); \
                      return (!told || performance.now() > told.startTime + 1000) && document.getAnimations().length === 0"
@@ -287,6 +292,8 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
             { "name": "prefers-reduced-motion", "value": if walk.reduced { "reduce" } else { "no-preference" } },
         ] });
         let mut commands = vec![width(walk.width), format!("cdp:Emulation.setEmulatedMedia {media}")];
+        // One sees the pace of the story, the others what it tells.
+        commands.extend((index > 0).then(|| HURRY.to_owned()));
         commands.push(format!("go:{}", at(&server, "")));
         if walk.reduced {
             // Nothing moves: the reader turns the pages, then lets the run go.
