@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::Summary;
-use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts};
+use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts, word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset, Scheme};
 use mcvl_core::record::{Arm, Verdict};
@@ -68,7 +68,7 @@ pub struct TrainArgs {
     /// Show the settings and the expected cost, train nothing
     #[arg(long)]
     dry_run: bool,
-    /// Exit with 1 unless every claim holds
+    /// Exit with 1 unless every claim about the trained learners holds
     #[arg(long)]
     assert_claims: bool,
     /// Print the summary as JSON
@@ -97,13 +97,19 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
     let resolved = settings::resolve(&arguments.request(), terminal)?;
     let run = RunDir::new(arguments.output.clone().unwrap_or_else(|| settings::default_directory(&arguments.env)));
     let plan = arguments.plan(&resolved);
+    if !arguments.resume {
+        arguments.has_claims(&plan)?;
+    }
     if arguments.dry_run {
         return dry_run(arguments, &plan, terminal);
     }
     stop_on_signals()?;
     let remote = arguments.pace.remote(terminal)?;
     let session = if arguments.resume {
-        Session::resume(run.clone(), |found| same_settings(&run, found, &plan, &resolved, arguments))?
+        Session::resume(run.clone(), |found| {
+            same_settings(&run, found, &plan, &resolved, arguments)?;
+            arguments.has_claims(found)
+        })?
     } else {
         Session::begin(arguments.place(run)?, plan, arguments.overwrite)?
     };
@@ -161,6 +167,20 @@ impl TrainArgs {
         Plan { config, seeds, learners, settings: resolved.settings.clone() }
     }
 
+    /// Complains where there is nothing to assert, before hours are spent.
+    fn has_claims(&self, plan: &Plan) -> anyhow::Result<()> {
+        if !self.assert_claims {
+            return Ok(());
+        }
+        if plan.config.optima().is_none() {
+            usage!("--assert-claims: nothing is claimed of this world, whose best returns are not known: leave it out");
+        }
+        if !plan.learners.iter().any(|learner| matches!(learner, Learner::Baseline | Learner::Mc)) {
+            usage!("--assert-claims: what is claimed is about baseline and mc: train one of them, or leave it out");
+        }
+        Ok(())
+    }
+
     /// The directory to begin in, if there is one for a new run.
     fn place(&self, run: RunDir) -> anyhow::Result<RunDir> {
         if run.is_free()? || self.overwrite && run.exists() {
@@ -185,7 +205,7 @@ impl TrainArgs {
     fn resume_command(&self, run: &RunDir) -> String {
         let place = match run.path() == settings::default_directory(&self.env) {
             true => String::new(),
-            false => format!(" -o {}", run.path().display()),
+            false => format!(" -o {}", word(run.path())),
         };
         format!("mcvl train {}{place} --resume", self.env)
     }
@@ -193,7 +213,7 @@ impl TrainArgs {
 
 /// Says how a run came out, and what to look at next.
 fn print(plan: &Plan, set: &RunSet, summary: &Summary, terminal: &mut Terminal) -> anyhow::Result<()> {
-    let path = set.path.display();
+    let path = word(&set.path);
     writeln!(terminal.out, "{}", summary.text().trim_end())?;
     if plan.settings.iter().any(|(_, setting)| setting.from.0 == settings::QUICK_ORIGIN) {
         writeln!(terminal.out, "\nA quick run: fewer steps and shorter forecasts than the paper's setting.")?;

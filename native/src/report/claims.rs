@@ -229,9 +229,11 @@ impl Summary {
         self.arms.iter().find(|summary| summary.arm == arm)
     }
 
-    /// Whether every claim holds; false where one was not tested.
+    /// Whether every claim that was tested holds, and at least one was: one about a learner that was not trained says
+    /// nothing.
     pub fn holds(&self) -> bool {
-        self.claims.iter().all(|claim| claim.outcome == Outcome::Holds)
+        let mut tested = self.claims.iter().filter(|claim| claim.outcome != Outcome::NotTested).peekable();
+        tested.peek().is_some() && tested.all(|claim| claim.outcome == Outcome::Holds)
     }
 
     /// The outcome in one sentence.
@@ -439,6 +441,18 @@ mod tests {
         let mc = &summary.claims[1];
         assert_eq!((mc.outcome, mc.seen, mc.needed, &mc.failing), (Outcome::DoesNotHold, 8, 9, &vec![0, 1]));
         assert!(!summary.holds());
+    }
+
+    #[test]
+    fn claims_about_a_learner_that_was_not_trained_are_left_out() {
+        let mut set = samples::set(&[samples::Outcome::Intended]);
+        for seed in &mut set.seeds {
+            seed.ends.retain(|end| end.arm != Arm::Baseline);
+        }
+        let summary = Summary::new(&set);
+        let outcomes: Vec<Outcome> = summary.claims.iter().map(|claim| claim.outcome).collect();
+        assert_eq!(outcomes, [Outcome::NotTested, Outcome::Holds]);
+        assert!(summary.holds());
     }
 
     #[test]

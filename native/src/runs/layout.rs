@@ -1,5 +1,6 @@
 //! Where everything lies in a run directory, and how the command line names parts of it.
 
+use std::borrow::Cow;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -135,6 +136,12 @@ pub fn is_temporary(name: &str) -> bool {
 /// The folder in which a path lies: that of a bare name is the current one.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// A path as one word of a command that is shown to be copied.
+pub fn word(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
 }
 
 fn seed_of(name: &str) -> Option<u64> {
@@ -294,6 +301,15 @@ mod tests {
         assert_eq!(reference, Reference { place: "runs/a#b/seed-3".into(), number: 17 });
         for bad in ["runs/box", "runs/box#", "runs/box#0", "#4", "runs/box#-1", "runs/box#x"] {
             assert!(bad.parse::<Reference>().unwrap_err().contains("#17"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn paths_in_commands_are_one_word() {
+        assert_eq!(word(Path::new("runs/box-moving")), "runs/box-moving");
+        for path in ["my runs/box", "~/it's", "$HOME", "a;b"] {
+            assert_eq!(shlex::split(&word(Path::new(path))), Some(vec![path.to_owned()]));
+            assert_ne!(word(Path::new(path)), path, "the shell would take it apart or replace it");
         }
     }
 

@@ -411,6 +411,18 @@ fn claims_are_an_exit_code() {
     assert_eq!(answer.code, 1, "{}", answer.stdout);
     assert!(answer.stdout.contains("DOES NOT HOLD"), "{}", answer.stdout);
     assert_eq!(ask(folder.path(), &short.replace(" --assert-claims -o short", " -o other")).code, 0);
+    // Without the plain learner only the other one's claim is there; without either, or beside a trap, none.
+    let alone = ask(folder.path(), &short.replace("-o short", "--agent mc -o alone"));
+    assert_eq!(alone.code, 0, "{}", alone.stdout);
+    assert!(alone.stdout.contains("NOT TESTED") && alone.stdout.contains("HOLDS"), "{}", alone.stdout);
+    for (more, said) in [("--agent frozen", "train one of them"), ("--set trap=9:5", "best returns are not known")] {
+        let none = ask(folder.path(), &short.replace("-o short", &format!("{more} -o none")));
+        assert!(none.code == 2 && none.stderr.contains(said), "{more}: {}", none.stderr);
+        assert!(!folder.path().join("none").exists(), "{more}: nothing was begun");
+    }
+    ok(folder.path(), "train box-moving --quick --set full_steps=20 --agent frozen -o frozen");
+    let resumed = ask(folder.path(), "train box-moving -o frozen --resume --assert-claims");
+    assert!(resumed.code == 2 && resumed.stderr.contains("train one of them"), "{}", resumed.stderr);
 }
 
 #[test]

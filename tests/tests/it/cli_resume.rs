@@ -8,9 +8,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use mcvl_core::rng::Rng;
-use mcvl_tests::scratch;
+use mcvl_tests::{mcvl, scratch};
 
-use crate::cli::{ask, assert_same, ok, program};
+use crate::cli::{Answer, ask_all, assert_same, ok, program};
 
 const TRAIN: &str = "train box-moving --seeds 4,7 -j 2 -o run --checkpoint-every 10ms";
 const RESUME: &str = "train box-moving -o run -j 2 --checkpoint-every 10ms --resume";
@@ -101,12 +101,23 @@ fn twenty_kills_at_any_moment_cost_no_byte() {
 fn a_time_limit_saves_and_says_how_to_go_on() {
     let folder = scratch();
     let folder = folder.path();
-    let answer = ask(folder, "train box-moving --seeds 4,7 -o run --max-time 300ms");
+    let answer = ask_all(folder, &["train", "box-moving", "--seeds", "4,7", "-o", "my run", "--max-time", "300ms"]);
     assert_eq!(answer.code, 130, "{}", answer.stderr);
-    assert!(answer.stderr.contains("continue with: mcvl train box-moving -o run --resume"), "{}", answer.stderr);
-    ok(folder, "train box-moving -o run --resume");
+    let resume = "mcvl train box-moving -o 'my run' --resume";
+    assert!(answer.stderr.contains(&format!("continue with: {resume}")), "{}", answer.stderr);
+    // What it says is what a shell takes.
+    let shell = |line: &str| -> Answer {
+        let command = format!("mcvl() {{ \"$0\" \"$@\"; }}\n{line}");
+        Command::new("sh").args(["-c", &command]).arg(mcvl()).current_dir(folder).output().unwrap().into()
+    };
+    let resumed = shell(resume);
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    let explain =
+        resumed.stdout.lines().find(|line| line.contains("mcvl explain 'my run'#")).expect("it says what is next");
+    let explained = shell(explain);
+    assert!(explained.code == 0 && explained.stdout.contains("REFUSED"), "{}", explained.stderr);
     ok(folder, "train box-moving --seeds 4,7 -o straight");
-    assert_same(&folder.join("run"), &folder.join("straight"));
+    assert_same(&folder.join("my run"), &folder.join("straight"));
 }
 
 #[test]
