@@ -284,10 +284,6 @@ fn controls_do_what_they_say() {
         "until:return document.getElementById('follow').textContent === 'Keep watching'".to_owned(),
         "do:".to_owned(),
     ];
-    let seen = drive(&visits.iter().map(String::as_str).collect::<Vec<_>>());
-    assert!(page(&seen[1]).link.contains("forecast=20") && page(&seen[1]).status.starts_with("Done"), "{:?}", seen[1]);
-    let link = page(&seen[4]).link;
-    assert!(["pace=16", "speed=4", "seed=4", "forecast=20"].iter().all(|part| link.contains(part)), "{link}");
     let typo = "eval:document.getElementById('set-threshold').value = '0,5'; \
                 document.querySelector('#controls button').click(); await new Promise((go) => setTimeout(go, 300)); \
                 return [document.getElementById('error').textContent, document.getElementById('set-threshold').value]";
@@ -298,7 +294,13 @@ fn controls_do_what_they_say() {
                  await new Promise((go) => setTimeout(go, 800)); return [same, one !== step()]";
     let slow = format!("go:{}", at(&server, &format!("?{LINK}&pace=4")));
     let running = "until:return document.querySelector('.leg p')?.textContent.startsWith('step')";
-    let paused = drive(&[&visits[0], typo, &slow, running, pause]);
+    let mut commands: Vec<&str> = visits.iter().map(String::as_str).collect();
+    commands.extend([&*visits[0], typo, &slow, running, pause]);
+    let seen = drive(&commands);
+    let (seen, paused) = seen.split_at(visits.len());
+    assert!(page(&seen[1]).link.contains("forecast=20") && page(&seen[1]).status.starts_with("Done"), "{:?}", seen[1]);
+    let link = page(&seen[4]).link;
+    assert!(["pace=16", "speed=4", "seed=4", "forecast=20"].iter().all(|part| link.contains(part)), "{link}");
     assert_eq!(paused[1], serde_json::json!(["threshold: 0,5 is not a finite number. Nothing was changed.", "0,5"]));
     assert_eq!(paused[4], serde_json::json!([true, true]), "paused it stands, resumed it goes on");
 
@@ -319,8 +321,10 @@ fn a_token_opens_the_same_moment_here_and_in_the_terminal() {
     let shown = page(&drive(&[&link])[0]);
     assert!(shown.token.starts_with("mcvl1."), "{shown:?}");
     let next = "do:document.getElementById('next').click(); await new Promise((go) => setTimeout(go, 300))";
-    let seen = drive(&[&at(&server, &format!("?token={}", shown.token)), next]);
-    let (again, beside) = (page(&seen[0]), page(&seen[1]));
+    let cut = &shown.token[..shown.token.len() - 3];
+    let [whole, cut] = [&shown.token, cut].map(|token| at(&server, &format!("?token={token}")));
+    let seen: Vec<Page> = drive(&[&whole, next, &cut]).iter().map(page).collect();
+    let [again, beside, answered] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!([&again.moment, &again.stamp, &again.token], [&shown.moment, &shown.stamp, &shown.token]);
     assert!(again.origin.ends_with("the decision that the token promises, to the last bit."), "{}", again.origin);
     assert!(again.link.contains("safe_steps=300") && again.link.contains("check=2"), "{}", again.link);
@@ -328,9 +332,6 @@ fn a_token_opens_the_same_moment_here_and_in_the_terminal() {
     assert!(replayed.contains("SAME"), "{replayed}");
 
     assert!(beside.moment.starts_with("Check 3,") && beside.origin.ends_with("seconds."), "{}", beside.origin);
-
-    let cut = &shown.token[..shown.token.len() - 3];
-    let answered = page(&drive(&[&at(&server, &format!("?token={cut}"))])[0]);
     assert!(answered.error.starts_with("the token was cut or altered"), "{}", answered.error);
 }
 

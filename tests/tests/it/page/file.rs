@@ -127,29 +127,30 @@ fn one_file_without_modules_plays_and_says_what_trains() {
         "{}",
         answer.stderr
     );
+    ok(folder, "export run --to tape --seed 3 -o sent.json");
+    ok(folder, "page --tape sent.json --no-modules");
+    ok(folder, "page -o bare.html --no-modules");
+    let go = |file: &str| format!("go:{}", address(folder, file));
     let click = "eval:document.getElementById('again').click()";
-    let commands = [
-        &format!("go:{}", address(folder, "small.html")),
+    let verdict = "until:return performance.getEntriesByName('verdict').length > 0";
+    let seen = drive(&[
+        &go("small.html"),
         "do:",
         click,
         &says("error", "made without the modules"),
         &text("error"),
-    ];
-    let seen = drive(&commands);
+        &go("mcvl.html"),
+        "do:",
+        &go("bare.html"),
+        verdict,
+        &text("status"),
+    ]);
     assert_eq!(page(&seen[1]).verdicts.len(), native_checks().len());
     assert!(seen[4].as_str().unwrap().contains("cargo xtask web builds the modules"), "{}", seen[4]);
-
     // A tape by itself makes the same page, under its own name.
-    ok(folder, "export run --to tape --seed 3 -o sent.json");
-    ok(folder, "page --tape sent.json --no-modules");
-    let seen = drive(&[&format!("go:{}", address(folder, "mcvl.html")), "do:"]);
-    assert!(page(&seen[1]).status.starts_with("tape/sent.json: "), "{}", page(&seen[1]).status);
-
+    assert!(page(&seen[6]).status.starts_with("tape/sent.json: "), "{}", page(&seen[6]).status);
     // Nothing is derived here, and nothing is said to be.
-    ok(folder, "page -o bare.html --no-modules");
-    let verdict = "until:return performance.getEntriesByName('verdict').length > 0";
-    let seen = drive(&[&format!("go:{}", address(folder, "bare.html")), verdict, &text("status")]);
-    assert_eq!(seen[2], "Nothing is running.");
+    assert_eq!(seen[9], "Nothing is running.");
 }
 
 #[test]
