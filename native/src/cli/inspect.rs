@@ -230,7 +230,7 @@ impl Found {
     /// Finds what a reference names.
     pub fn read(reference: &Reference) -> anyhow::Result<Self> {
         let place = Place::find(&reference.place)?;
-        let plan = Plan::read(&place.run)?;
+        let plan = Plan::of_logs(&place.run)?;
         let dir = named_seed(&place, &plan)?;
         let (seed, path) = (dir.seed(), place.run.path().display());
         let mut lines = runs::ledger(&dir)?;

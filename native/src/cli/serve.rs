@@ -78,7 +78,7 @@ pub(super) struct Shown {
 impl Shown {
     pub(super) fn find(path: &Path) -> anyhow::Result<Self> {
         let place = Place::find(path)?;
-        let plan = Plan::read(&place.run)?;
+        let plan = Plan::of_logs(&place.run)?;
         let seed = named_seed(&place, &plan)?.seed();
         Ok(Self { run: place.run, seed })
     }

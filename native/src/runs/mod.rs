@@ -40,7 +40,7 @@ pub use chain::{Chain, LedgerLine, sha256};
 pub use job::{Ending, Job, ReadyJob};
 pub use layout::{Place, Reference, RunDir, SeedDir, word};
 pub use manifest::{FileDigest, Manifest, State};
-pub use plan::{Origin, Plan, Setting, expected_forecasts};
+pub use plan::{Origin, Plan, Setting, expected_forecasts, train_command};
 pub use pool::{Control, Outcome, Remote, SeedView, train};
 pub use read::{check_tape, ledger, lines, tape};
 pub use tape::{TAPE_FORMAT, TAPE_VERSION, run_tape};

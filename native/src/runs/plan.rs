@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use mcvl_core::config::{Config, KEYS, Learner, Scheme};
+use mcvl_core::config::{Config, KEYS, Learner, Preset, Scheme};
+use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
 use super::write::write_atomic;
@@ -67,6 +68,32 @@ pub fn expected_forecasts(config: &Config) -> f64 {
     checked * 2.0 * (f64::from(config.forecast) + practice)
 }
 
+/// The command that trains these learners of the Full world on these seeds.
+pub fn train_command(config: &Config, seeds: &[u64], legs: &[Arm]) -> String {
+    let mut command = format!("mcvl train {}", config.env);
+    if config.preset != Preset::Paper {
+        command += &format!(" --preset {}", config.preset.name());
+    }
+    for (key, value) in config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
+        command += &format!(" --set {key}={value}");
+    }
+    // Both are what it trains unasked.
+    if legs != [Arm::Baseline, Arm::Mc] {
+        legs.iter().for_each(|leg| command += &format!(" --agent {}", leg.name()));
+    }
+    match seeds {
+        [] => command,
+        [only] => format!("{command} --seed {only}"),
+        [first, .., last] if last - first + 1 == seeds.len() as u64 && *last < u64::MAX => {
+            format!("{command} --seeds {first}..{}", last + 1)
+        }
+        _ => {
+            let list: Vec<String> = seeds.iter().map(u64::to_string).collect();
+            format!("{command} --seeds {}", list.join(","))
+        }
+    }
+}
+
 impl Plan {
     /// The text of `run.toml`.
     pub fn to_toml(&self) -> String {
@@ -97,6 +124,24 @@ impl Plan {
         let path = run.plan();
         let text = fs::read_to_string(&path).map_err(RunsError::io("read", &path))?;
         Self::parse(&text).map_err(|why| RunsError::damaged(&path, why))
+    }
+
+    /// Reads `run.toml` back where the logs of the run are to be read next.
+    ///
+    /// # Errors
+    /// As [`Plan::read`], and where only the summary of the run was kept.
+    pub fn of_logs(run: &RunDir) -> Result<Self, RunsError> {
+        let plan = Self::read(run)?;
+        if run.summary().exists() && !plan.seeds.iter().any(|seed| run.seed(*seed).path().exists()) {
+            let legs: Vec<Arm> = plan.learners.iter().map(|learner| Arm::of(*learner)).collect();
+            return Err(RunsError::Request(format!(
+                "{} keeps how a run came out ({}), not its logs and decisions: `{}` trains it anew",
+                run.path().display(),
+                run.summary().display(),
+                train_command(&plan.config, &plan.seeds, &legs)
+            )));
+        }
+        Ok(plan)
     }
 
     pub(crate) fn parse(text: &str) -> Result<Self, String> {

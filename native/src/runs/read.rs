@@ -18,7 +18,7 @@ impl RunSet {
     /// If there is no run, or a file of it is damaged.
     pub fn read(path: &Path) -> Result<Self, RunsError> {
         let place = Place::find(path)?;
-        let plan = Plan::read(&place.run)?;
+        let plan = Plan::of_logs(&place.run)?;
         let wanted = plan.seeds.iter().filter(|seed| place.seed.is_none_or(|only| only == **seed));
         // A run that was killed at its very beginning has no manifest yet.
         let manifest = place.run.manifest().exists().then(|| Manifest::read(&place.run)).transpose()?;

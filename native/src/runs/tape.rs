@@ -40,7 +40,7 @@ struct Tape<'a> {
 /// # Errors
 /// If a file of the seed cannot be read, or is not what was written.
 pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result<String, RunsError> {
-    let plan = Plan::read(run)?;
+    let plan = Plan::of_logs(run)?;
     let dir = run.seed(seed);
     let read = SeedRun::read(&dir, &plan)?;
     let config = plan.config.with_seed(seed).with_agent(Learner::Mc);

@@ -426,6 +426,19 @@ fn claims_are_an_exit_code() {
 }
 
 #[test]
+fn a_kept_summary_says_how_to_train_its_run_anew() {
+    let folder = scratch();
+    let kept = mcvl_tests::root().join("results/box-moving/e14");
+    let (kept, first) = (kept.display(), format!("{}#1", kept.display()));
+    let anew = "`mcvl train box-moving --set against=current --seeds 0..10` trains it anew";
+    let words = ["report", "compare", "ledger", "export --to csv", "export --to tape", "page"];
+    for command in words.map(|word| format!("{word} {kept}")).into_iter().chain([format!("explain {first}")]) {
+        let answer = ask(folder.path(), &command);
+        assert!(answer.code == 2 && answer.stderr.contains(anew), "{command}: {}", answer.stderr);
+    }
+}
+
+#[test]
 fn the_number_of_threads_changes_no_byte() {
     let folder = finished();
     ok(folder.path(), "train box-moving --quick --seeds 0,3 -j 1 -o one");

@@ -11,7 +11,7 @@ pub use story::PLAYED;
 
 use std::fmt::Write as _;
 
-use mcvl_core::config::{Config, KEYS, Preset};
+use mcvl_core::config::KEYS;
 use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, CheckRecord};
 
@@ -20,7 +20,7 @@ use super::plot::{Figure, Layout, curves, sweep};
 use super::statistics::Estimate;
 use super::svg::{self, escape};
 use crate::page;
-use crate::runs::{RunSet, SeedRun, word};
+use crate::runs::{self, RunSet, SeedRun, word};
 use crate::worlds;
 
 /// Reads the film of a check (by its number) of a seed, where a tape holds it.
@@ -269,31 +269,8 @@ fn reproduce(set: &RunSet) -> String {
 
 /// The command that trains the same runs.
 fn train_command(set: &RunSet) -> String {
-    let Config { env, preset, .. } = &set.config;
-    let mut command = format!("mcvl train {env}");
-    if *preset != Preset::Paper {
-        let _ = write!(command, " --preset {}", preset.name());
-    }
-    for (key, value) in set.config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
-        let _ = write!(command, " --set {key}={value}");
-    }
-    let legs = full_legs(set);
-    // Both are what it trains unasked.
-    if legs != [Arm::Baseline, Arm::Mc] {
-        legs.iter().for_each(|leg| command += &format!(" --agent {}", leg.name()));
-    }
     let seeds: Vec<u64> = set.seeds.iter().map(|seed| seed.seed).collect();
-    match seeds.as_slice() {
-        [] => command,
-        [only] => format!("{command} --seed {only}"),
-        [first, .., last] if last - first + 1 == seeds.len() as u64 && *last < u64::MAX => {
-            format!("{command} --seeds {first}..{}", last + 1)
-        }
-        _ => {
-            let list: Vec<String> = seeds.iter().map(u64::to_string).collect();
-            format!("{command} --seeds {}", list.join(","))
-        }
-    }
+    runs::train_command(&set.config, &seeds, &full_legs(set))
 }
 
 /// The learners that were trained in the Full world.
