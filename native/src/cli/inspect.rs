@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use mcvl::report::claims::plural;
 use mcvl::report::film;
-use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State, word};
+use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State, shell_word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
@@ -281,7 +281,7 @@ pub fn check_exists(place: &Path, number: u32, count: usize) -> anyhow::Result<(
     let path = place.display();
     let there = match count {
         0 => "it has no checks".to_owned(),
-        _ => format!("its checks are 1 to {count} (`mcvl ledger {}` lists them)", word(place)),
+        _ => format!("its checks are 1 to {count} (`mcvl ledger {}` lists them)", shell_word(place)),
     };
     super::usage!("{path} has no check {number}: {there}");
 }

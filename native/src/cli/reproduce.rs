@@ -13,7 +13,7 @@ use mcvl::reproduce::figures::DRAWINGS;
 use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::{self, Cell, Experiment, TARGETS};
 use mcvl::reproduce::{BEGIN, END, QUICK, RECORD_SUFFIX, Record, Results, Verdict, judge, markdown, put};
-use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunSet, RunsError, State, word, write_atomic};
+use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunSet, RunsError, State, shell_word, write_atomic};
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
@@ -268,9 +268,9 @@ impl ReproduceArgs {
             add(&format!("--seeds {}", seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(",")));
         }
         self.only.iter().for_each(|cell| add(&format!("--only {cell}")));
-        self.from.iter().for_each(|from| add(&format!("--from {}", word(from))));
+        self.from.iter().for_each(|from| add(&format!("--from {}", shell_word(from))));
         if self.output.is_some() {
-            add(&format!("-o {}", word(&folder.0)));
+            add(&format!("-o {}", shell_word(&folder.0)));
         }
         self.pace.manner(resume, remote)
     }

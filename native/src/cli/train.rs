@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::Summary;
-use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts, word};
+use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts, shell_word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset, Scheme};
 use mcvl_core::record::{Arm, Verdict};
@@ -205,7 +205,7 @@ impl TrainArgs {
     fn resume_command(&self, run: &RunDir) -> String {
         let place = match run.path() == settings::default_directory(&self.env) {
             true => String::new(),
-            false => format!(" -o {}", word(run.path())),
+            false => format!(" -o {}", shell_word(run.path())),
         };
         format!("mcvl train {}{place} --resume", self.env)
     }
@@ -213,7 +213,7 @@ impl TrainArgs {
 
 /// Says how a run came out, and what to look at next.
 fn print(plan: &Plan, set: &RunSet, summary: &Summary, terminal: &mut Terminal) -> anyhow::Result<()> {
-    let path = word(&set.path);
+    let path = shell_word(&set.path);
     writeln!(terminal.out, "{}", summary.text().trim_end())?;
     if plan.settings.iter().any(|(_, setting)| setting.from.0 == settings::QUICK_ORIGIN) {
         writeln!(terminal.out, "\nA quick run: fewer steps and shorter forecasts than the paper's setting.")?;

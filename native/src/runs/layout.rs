@@ -139,7 +139,7 @@ pub fn folder_of(path: &Path) -> &Path {
 }
 
 /// A path as one word of a command that is shown to be copied.
-pub fn word(path: &Path) -> String {
+pub fn shell_word(path: &Path) -> String {
     let text = path.to_string_lossy();
     shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
 }
@@ -306,10 +306,10 @@ mod tests {
 
     #[test]
     fn paths_in_commands_are_one_word() {
-        assert_eq!(word(Path::new("runs/box-moving")), "runs/box-moving");
+        assert_eq!(shell_word(Path::new("runs/box-moving")), "runs/box-moving");
         for path in ["my runs/box", "~/it's", "$HOME", "a;b"] {
-            assert_eq!(shlex::split(&word(Path::new(path))), Some(vec![path.to_owned()]));
-            assert_ne!(word(Path::new(path)), path, "the shell would take it apart or replace it");
+            assert_eq!(shlex::split(&shell_word(Path::new(path))), Some(vec![path.to_owned()]));
+            assert_ne!(shell_word(Path::new(path)), path, "the shell would take it apart or replace it");
         }
     }
 

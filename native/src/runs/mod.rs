@@ -38,7 +38,7 @@ use mcvl_core::run::RunError;
 
 pub use chain::{Chain, LedgerLine, sha256};
 pub use job::{Ending, Job, ReadyJob};
-pub use layout::{Place, Reference, RunDir, SeedDir, word};
+pub use layout::{Place, Reference, RunDir, SeedDir, shell_word};
 pub use manifest::{FileDigest, Manifest, State};
 pub use plan::{Origin, Plan, Setting, expected_forecasts, train_command};
 pub use pool::{Control, Outcome, Remote, SeedView, train};

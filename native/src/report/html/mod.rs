@@ -20,7 +20,7 @@ use super::plot::{Figure, Layout, curves, sweep};
 use super::statistics::Estimate;
 use super::svg::{self, escape};
 use crate::page;
-use crate::runs::{self, RunSet, SeedRun, word};
+use crate::runs::{self, RunSet, SeedRun, shell_word};
 use crate::worlds;
 
 /// Reads the film of a check (by its number) of a seed, where a tape holds it.
@@ -262,7 +262,7 @@ fn reproduce(set: &RunSet) -> String {
          <th scope=\"col\">setting</th><th scope=\"col\">value</th><th scope=\"col\">meaning</th>\
          <th scope=\"col\">source</th></tr></thead><tbody>\n{rows}</tbody></table></div></details>\n",
         escape(&train_command(set)),
-        escape(&word(&set.path)),
+        escape(&shell_word(&set.path)),
         escape(&set.config.to_string())
     )
 }
