@@ -59,7 +59,8 @@ fn summary(done: &[(&str, Duration)]) {
     println!("{:<30} {:>8.1}", "total", total.as_secs_f64());
 }
 
-/// Everything with MuJoCo, then what stands in for it where it is not linked, then without graphics cards too.
+/// Everything with MuJoCo, then what stands in for it where it is not linked, then without graphics cards too. Of the
+/// whole workspace each time: dependencies keep their features, so that only `native` is looked at again.
 fn lint() -> Result<()> {
     let lint = |features: &[&str]| {
         let workspace = ["clippy", "--workspace", "--all-targets"];
@@ -67,12 +68,10 @@ fn lint() -> Result<()> {
     };
     let features = mujoco::features();
     lint(features)?;
-    // Only `native` differs, so the other looks are short.
     if !features.is_empty() {
         lint(&[])?;
     }
-    let plain = ["clippy", "--package", "mcvl-native", "--no-default-features", "--all-targets"];
-    run(cargo().args(plain).args(["--", "-D", "warnings"]))
+    lint(&["--no-default-features"])
 }
 
 /// Unit and integration tests, with cargo-nextest where it is installed.

@@ -363,9 +363,9 @@ impl Batch {
         }
         let buffer = device.buffer("ddqn memory", 4 * u64::from(memory), &[]);
         for (job, (at, _)) in packed.iter().zip(&places) {
-            device.write(&buffer, 4 * u64::from(*at), bytemuck::cast_slice(&job.memory));
+            device.write(&buffer, 4 * u64::from(*at), bytemuck::must_cast_slice(&job.memory));
         }
-        let described = device.buffer("ddqn jobs", 0, bytemuck::cast_slice(&jobs));
+        let described = device.buffer("ddqn jobs", 0, bytemuck::must_cast_slice(&jobs));
         let data = data.bring(device, "ddqn data");
         let failures = device.buffer("ddqn failures", 4 * jobs.len() as u64, &[]);
         let span = device.uniform("ddqn span", 8);
@@ -394,7 +394,7 @@ impl Training for Batch {
     }
 
     fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32) {
-        device.write(&self.span, 0, bytemuck::cast_slice(&[first, count]));
+        device.write(&self.span, 0, bytemuck::must_cast_slice(&[first, count]));
         let mut pass =
             commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("ddqn"), timestamp_writes: None });
         pass.set_pipeline(&self.pipeline);

@@ -687,9 +687,9 @@ impl Batch {
         let data = data.bring(device, "td3 data");
         let buffer = device.buffer("td3 memory", 4 * u64::from(memory), &[]);
         for (job, (begin, _)) in packed.iter().zip(&places) {
-            device.write(&buffer, 4 * u64::from(*begin), bytemuck::cast_slice(&job.memory));
+            device.write(&buffer, 4 * u64::from(*begin), bytemuck::must_cast_slice(&job.memory));
         }
-        let described = device.buffer("td3 jobs", 0, bytemuck::cast_slice(&jobs));
+        let described = device.buffer("td3 jobs", 0, bytemuck::must_cast_slice(&jobs));
         let failures = device.buffer("td3 failures", 4 * jobs.len() as u64, &[]);
         let updates = packed.iter().map(|job| job.updates()).max().unwrap_or(0);
         let operations = device.records("td3 operations", UPDATE.map(|dispatch| dispatch.operation));

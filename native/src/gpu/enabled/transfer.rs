@@ -64,7 +64,7 @@ impl<'a> Parts<'a> {
         let buffer = device.buffer(label, 4 * u64::from(self.end), &[]);
         let mut at = 0;
         for part in self.parts {
-            device.write(&buffer, at, bytemuck::cast_slice(part));
+            device.write(&buffer, at, bytemuck::must_cast_slice(part));
             at += 4 * part.len() as u64;
         }
         buffer
