@@ -67,10 +67,10 @@ fn lint() -> Result<()> {
         run(cargo().args(workspace).args(features).args(["--", "-D", "warnings"]))
     };
     let features = mujoco::features();
-    lint(features)?;
     if !features.is_empty() {
-        lint(&[])?;
+        lint(features)?;
     }
+    lint(&[])?;
     lint(&["--no-default-features"])
 }
 

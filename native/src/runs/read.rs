@@ -15,7 +15,7 @@ impl RunSet {
     /// unfinished run has so far is read as it is.
     ///
     /// # Errors
-    /// If there is no run, or a file of it is damaged.
+    /// If there is no run, only its summary was kept, or a file of it is damaged.
     pub fn read(path: &Path) -> Result<Self, RunsError> {
         let place = Place::find(path)?;
         let plan = Plan::of_logs(&place.run)?;
