@@ -324,15 +324,12 @@ impl Folder {
         let plan = Plan::read(&run)?;
         let elsewhere = lent.as_ref().map_or(&[][..], |(lent, _)| lent.seeds());
         self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, elsewhere, Some(&plan.learners))?;
-        let manifest = match Manifest::read(&run) {
+        let manifest = match Manifest::read_intact(&run) {
             Ok(manifest) => manifest,
             // Killed between its first two files.
             Err(RunsError::Io { .. }) => return Ok(Standing::new(wanted, None, lent, true)),
             Err(error) => return Err(error.into()),
         };
-        if !manifest.is_intact() {
-            return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
-        }
         // A record of this very state spares reading the run; one that cannot be read is made again, and so is that of a
         // run that goes on.
         let finished = manifest.state == State::Finished;
@@ -589,10 +586,7 @@ fn lend(
     let plan = Plan::read(&run)?;
     let has = |learner: Learner| plan.learners.contains(&learner);
     let Some(wanted) = fits(&plan.config, false, &has) else { return Ok(None) };
-    let manifest = Manifest::read(&run)?;
-    if !manifest.is_intact() {
-        return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit").into());
-    }
+    let manifest = Manifest::read_intact(&run)?;
     // Kept summaries without the logs of their seeds have nothing to read; their records speak for them.
     if manifest.state == State::Finished && !plan.seeds.iter().all(|seed| run.seed(*seed).metrics().exists()) {
         return Ok(None);

@@ -183,6 +183,18 @@ impl Manifest {
         serde_json::from_slice(&bytes).map_err(damaged)
     }
 
+    /// Reads the manifest of a run that is to be relied on.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and if it is not as it was written.
+    pub fn read_intact(run: &RunDir) -> Result<Self, RunsError> {
+        let manifest = Self::read(run)?;
+        if !manifest.is_intact() {
+            return Err(RunsError::damaged(&run.manifest(), "was altered: its seal does not fit"));
+        }
+        Ok(manifest)
+    }
+
     /// Whether it knows a seed as finished.
     pub fn knows(&self, run: &RunDir, seed: &SeedDir) -> bool {
         self.files.contains_key(&name(run, &seed.metrics()))

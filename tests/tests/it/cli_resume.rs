@@ -98,6 +98,18 @@ fn twenty_kills_at_any_moment_cost_no_byte() {
 }
 
 #[test]
+fn killed_between_its_first_two_files_a_run_is_resumed() {
+    let folder = scratch();
+    let folder = folder.path();
+    ok(folder, "train box-moving --seeds 4,7 -o straight");
+    fs::create_dir(folder.join("run")).unwrap();
+    fs::copy(folder.join("straight/run.toml"), folder.join("run/run.toml")).unwrap();
+    ok(folder, RESUME);
+    assert_same(&folder.join("run"), &folder.join("straight"));
+    ok(folder, "verify run");
+}
+
+#[test]
 fn a_time_limit_saves_and_says_how_to_go_on() {
     let folder = scratch();
     let folder = folder.path();

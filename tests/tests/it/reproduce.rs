@@ -136,7 +136,11 @@ fn stopped_and_continued_gives_the_same_bytes() {
     let folder = scratch();
     let folder = folder.path();
     ok(folder, &format!("{ONE} -o straight"));
-    // By the clock, by a signal, by a kill.
+    // By a kill between its first two files, by the clock, by a signal, by a kill.
+    let cell = "cells/box-forecast-100";
+    fs::create_dir_all(folder.join("cut").join(cell)).unwrap();
+    fs::copy(folder.join("straight").join(cell).join("run.toml"), folder.join("cut").join(cell).join("run.toml"))
+        .unwrap();
     let answer = ask(folder, &format!("{ONE} -o cut --max-time 200ms"));
     assert_eq!(answer.code, 130, "{}", answer.stderr);
     let hint = "continue with: mcvl reproduce E8 --seeds 3 --only box-forecast-100 -o cut";
