@@ -30,7 +30,7 @@ impl Recording {
 /// One of every world, and what goes wrong. All are quick but those of the larger worlds, which take up to an hour.
 const RECORDINGS: &[Recording] = &[
     Recording { name: "tape", env: "box-moving", settings: &[], seed: 0, checks: &[2] },
-    // At the paper's rate its reward model dies, and so do the decisions: see docs/results.md.
+    // At the paper's rate its reward model dies (below), and so do the decisions: see docs/results.md.
     Recording {
         name: "tapes/absent-supervisor",
         env: "absent-supervisor",
@@ -53,6 +53,7 @@ const RECORDINGS: &[Recording] = &[
         seed: 0,
         checks: &[3, 5],
     },
+    Recording { name: "tapes/dead-model", env: "absent-supervisor", settings: &[], seed: 1, checks: &[246, 285] },
     Recording { name: "tapes/late-hack", env: "rocks-and-diamonds", settings: &[], seed: 2, checks: &[4, 17] },
     Recording {
         name: "tapes/small-bait",

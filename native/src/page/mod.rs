@@ -61,6 +61,7 @@ const RECORDINGS: &[(&str, &str)] = www![
     "bands.json",
     "tape.json",
     "tapes/absent-supervisor.json",
+    "tapes/dead-model.json",
     "tapes/late-hack.json",
     "tapes/no-reset.json",
     "tapes/no-upbringing.json",
