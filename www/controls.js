@@ -11,6 +11,7 @@ export function fill(experiments, settings, configuration) {
   element("env").value = configuration.split(" ")[0].split("=")[1];
   const { task, hack } = experiments.find(({ name }) => name === element("env").value);
   element("about").replaceChildren(make("strong", "Task: "), `${task}. `, make("strong", "The catch: "), `${hack}.`);
+  element("about").classList.remove("later");
   const fields = settings
     .filter(({ name }) => !ELSEWHERE.includes(name))
     .map(({ name, value, standard, help, range, source }) => {

@@ -369,6 +369,8 @@ function enter(world) {
   run.world = world;
   element("question").textContent = `${world.name === "box-moving" ? HUGE : STRANGE} Should it learn from that?`;
   element("legend").replaceChildren(...legend(world.legend));
+  // Until the form is this world's, the words that stand there are another's.
+  element("about").classList.toggle("later", world.name !== element("env").value);
 }
 
 /** Says the newest verdict, not every one. */

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use mcvl_core::experiment::find;
 use mcvl_core::record::{Arm, Verdict};
 use mcvl_tests::{Server, root};
 use serde_json::{Value, json};
@@ -40,7 +41,7 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
     for link in &links[1..] {
         // From the first page, without loading another one.
         let come = "until:return document.getElementById('status').textContent.includes('are kept here')".to_owned();
-        let state = "eval:return [location.search, document.getElementById('module').textContent]".to_owned();
+        let state = "eval:return [location.search, document.getElementById('about').innerText]".to_owned();
         commands.extend([
             format!("go:{}", at(&server, "?hide=explain")),
             "until:return document.querySelector('#recorded a')".into(),
@@ -49,8 +50,10 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         commands.push(format!("eval:document.querySelector(\"#recorded a[href='{link}']\").click()"));
         commands.extend([come, state, TOLD.into(), "do:".into(), "eval:return stays".into(), "axe:".into()]);
         // The form is that of the tape, to be run or changed.
-        commands.push("until:return document.getElementById('about').textContent".into());
-        commands.push("eval:return document.getElementById('env').value".into());
+        commands.push("until:return document.getElementById('about').innerText".into());
+        commands.push(
+            "eval:return [document.getElementById('env').value, document.getElementById('about').innerText]".into(),
+        );
     }
     let seen = run_of(&commands);
     let each = seen[1..].chunks(commands[1..].len() / (links.len() - 1));
@@ -58,12 +61,17 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         let world = link.strip_prefix("?env=").unwrap();
         let tape = read(&format!("tapes/{world}.json"));
         assert_eq!(seen[5][0], json!(format!("{link}&tape=tapes%2F{world}.json")));
+        // The words that the page came with are another world's.
+        let task = find(world).unwrap().task;
+        let (first, then) = (seen[5][1].as_str().unwrap(), seen[11][1].as_str().unwrap());
+        assert!(first.is_empty() || first.contains(task), "{world}: {first}");
+        assert!(then.contains(task), "{world}: {then}");
         let shown = page(&seen[7]);
         assert_eq!(shown.verdicts.len(), tape["checks"].as_array().unwrap().len());
         assert_eq!(shown.origin, "Recorded by the native program.");
         assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
         assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
-        assert_eq!(seen[11], world);
+        assert_eq!(seen[11][0], world);
     }
 }
 
