@@ -301,7 +301,9 @@ impl Key {
 macro_rules! keys {
     ($($name:ident: $type:ty = $paper:literal $(| $release:literal)?, $help:literal, $source:literal,
        |$value:ident| $allowed:expr, $range:literal;)+) => {
-        /// A complete, valid configuration of a run. Field documentation: [`KEYS`], or `mcvl train --help`.
+        /// A complete configuration of a run, valid as long as its text or [`Config::set`] made it;
+        /// [`Config::validate`] says what fields set by hand break. Field documentation: [`KEYS`], or
+        /// `mcvl train --help`.
         #[derive(Clone, Debug, PartialEq)]
         #[allow(missing_docs)] // The documentation of each field is its row in the table below.
         pub struct Config {
@@ -358,7 +360,7 @@ keys! {
     epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A (R9)", |_v| true, "0 or more";
-    epsilon_clamp: bool = "true", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own (R9; A lets it go on)", |_v| true, "true or false";
+    epsilon_clamp: bool = "true" | "false", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own (R9); A", |_v| true, "true or false";
     epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A (R10)", |_v| true, "true or false";
     batch: u32 = "32", "Mini-batch size, drawn uniformly without replacement; no update while fewer are stored.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
     gamma: f32 = "0.95", "Discount, per step.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
@@ -388,11 +390,11 @@ keys! {
     copy_target: bool = "true", "A forecast starts with the live target network (false: with a copy of the live parameters).", "A (R15)", |_v| true, "true or false";
     copy_optimizer: bool = "true", "A forecast starts with the moments of the live optimiser (false: with none).", "A (R15)", |_v| true, "true or false";
     against: Against = "forecast", "What the future that learned from a transition is compared with: a forecast without it, or the current policy.", "P algorithm 5 (R13; appendix C: current misses)", |_v| true, "forecast or current";
-    paired_batches: bool = "true", "Both forecasts draw the same mini-batches.", "P appendix C (R17)", |_v| true, "true or false";
+    paired_batches: bool = "true", "Both forecasts draw the same mini-batches and, where they practise, the same steps (false: the unmodified one has random streams of its own).", "P appendix C (R17)", |_v| true, "true or false";
     paired_rollouts: bool = "true", "Both futures are rated with the same random numbers.", "P appendix C (R23)", |_v| true, "true or false";
     rollout_steps: u32 = "30", "Steps of a rollout that rates a future (h).", "P table 1", |v| *v <= 100_000, "0 to 100000";
     rollouts: u32 = "20", "Rollouts per future from fresh resets (k); with 0 the current state alone is rated, and a step that ends its episode for good is a tie.", "P table 1", |v| *v <= 100_000, "0 to 100000";
-    current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "A; P appendix C (R22)", |_v| true, "true or false";
+    current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "P appendix C; A means to, and never does (R22)", |_v| true, "true or false";
     discount_utility: bool = "true", "Discount the rewards of a rollout and its final value (false: sum them as they are).", "P equation 2 (R20)", |_v| true, "true or false";
     final_value: FinalValue = "live" | "target-max", "Value at the end of a rollout.", "P equation 2; A", |_v| true, "live or target-max";
     tolerance: f32 = "0.000001", "A future is worse only if its utility is lower by more than this.", "A (R24)", |v| *v >= 0.0, "0 or more";
@@ -481,20 +483,21 @@ impl Config {
         if !(row.allowed)(&changed) {
             return Err(ConfigError::new(key, format!("{key}: `{text}` is out of range (allowed: {})", row.range)));
         }
-        if key == "variant" {
-            let variants = changed.experiment().variants;
-            if !variants.contains(&text) {
-                return Err(ConfigError::new(key, format!("variant: {}", expected_one_of(text, variants))));
-            }
-        }
-        if key == "map" {
-            let maps = changed.experiment().maps();
-            if !maps.contains(&text) {
-                return Err(ConfigError::new(key, format!("map: {}", expected_one_of(text, maps))));
-            }
+        if key == "variant" || key == "map" {
+            changed.world_is_there()?;
         }
         *self = changed;
         Ok(())
+    }
+
+    /// Checks that the experiment has this variant and this map.
+    fn world_is_there(&self) -> Result<(), ConfigError> {
+        let experiment = self.experiment();
+        let named = [("variant", &self.variant, experiment.variants), ("map", &self.map, experiment.maps())];
+        match named.into_iter().find(|(_, name, known)| !known.contains(&name.as_str())) {
+            Some((key, name, known)) => Err(ConfigError::new(key, format!("{key}: {}", expected_one_of(name, known)))),
+            None => Ok(()),
+        }
     }
 
     /// Checks what no setting can check alone, and every range once more.
@@ -502,6 +505,7 @@ impl Config {
     /// # Errors
     /// The first setting that is out of its range or does not go with another one.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        self.world_is_there()?;
         if let Some(key) = KEYS.iter().find(|key| !(key.allowed)(self)) {
             let (value, range) = (key.value(self), key.range);
             return Err(ConfigError::new(

@@ -106,8 +106,11 @@ impl Play {
     /// simulator a configuration names, the closed form moves this world.
     ///
     /// # Panics
-    /// Unless [`Play::offers`] it: if the configuration is [`Config::custom`].
+    /// If the configuration is not [valid](Config::validate). Unless [`Play::offers`] it: if it is [`Config::custom`].
     pub fn new(config: &Config, leg: Arm) -> Self {
+        if let Err(error) = config.validate() {
+            panic!("{error}");
+        }
         let (_, begin) = Self::find(config).expect("only built-in worlds have names");
         let world = begin(config, leg);
         let observation = vec![0.0; world.spec().observation.width];

@@ -444,9 +444,12 @@ impl Run {
     /// A run from its beginning.
     ///
     /// # Panics
-    /// Unless [`Run::offers`] it: if the configuration is [`Config::custom`], or of a simulator that is not in this crate: such worlds go to
-    /// a [`Trainer`] and to [`Run::of`].
+    /// If the configuration is not [valid](Config::validate). Unless [`Run::offers`] it: if it is [`Config::custom`], or
+    /// of a simulator that is not in this crate: such worlds go to a [`Trainer`] and to [`Run::of`].
     pub fn new(config: &Config) -> Self {
+        if let Err(error) = config.validate() {
+            panic!("{error}");
+        }
         assert_eq!(config.physics, Simulator::ClosedForm, "core has no other simulator");
         let family = Family::find(&config.env).expect("runs are of built-in worlds");
         Self { inner: (family.begin)(config) }
@@ -520,7 +523,6 @@ impl Run {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
-    /// # Errors
     /// `None`, with nothing changed, if the run's world is not built in: nobody could open its jobs.
     pub fn forecast_elsewhere(&mut self) -> Option<()> {
         self.inner.forecast_elsewhere()
@@ -551,7 +553,6 @@ impl Run {
 
     /// A copy that continues from the switch with another learner: both share the Safe training.
     ///
-    /// # Errors
     /// `None` unless the run stands at [`Status::Switch`] or before it.
     pub fn fork(&self, agent: Learner) -> Option<Self> {
         let mut copy = self.clone();
@@ -562,7 +563,6 @@ impl Run {
     /// count of updates names the run's own); `paired` says whether the two futures share them. For measuring
     /// how far a decision depends on chance: the copy is no run of its configuration any more.
     ///
-    /// # Errors
     /// `None` unless a check is under way ([`Progress::check`]).
     pub fn redrawn(&self, draw: u64, paired: bool) -> Option<Self> {
         self.inner.redrawn(draw, paired).map(|inner| Self { inner })

@@ -267,8 +267,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
 
     /// Chooses the learner of the Full leg.
     ///
-    /// # Errors
-    /// `None` if the Full leg has begun.
+    /// `None`, with nothing changed, if the Full leg has begun.
     pub fn choose(&mut self, agent: Learner) -> Option<()> {
         (self.arm == Arm::Safe).then(|| self.config.agent = agent)
     }
@@ -285,7 +284,6 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// whether its two futures share them. For measuring how far a decision depends on chance: a trainer that
     /// was treated so is no run of its configuration any more. Give it a new forecaster.
     ///
-    /// # Errors
     /// `None`, with nothing changed, unless a check is under way.
     pub fn redraw_check(&mut self, draw: u64, paired: bool) -> Option<()> {
         let Activity::Check(pending) = &mut self.activity else { return None };

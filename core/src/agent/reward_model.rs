@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::Config;
 use crate::digest::Digest;
 use crate::env::{Action, ActionSpec, Encoded, EnvSpec, ObservationSpec};
+use crate::forecast::Carry;
 use crate::nn::buffer::Buffer;
 use crate::nn::loss::squared;
 use crate::nn::mlp::{Gradient, Mlp, Scratch};
@@ -76,6 +77,15 @@ impl RewardModel {
         let (hidden, layers) = (config.hidden as usize, config.layers as usize);
         let adam = AdamConfig::of(config, config.lr_reward);
         Self::new(spec.observation, &spec.actions, hidden, layers, adam, &mut weights)
+    }
+
+    /// The copy that a practising forecast trains; what it takes along says `carry` (it has no target network).
+    pub(crate) fn for_forecast(&self, carry: Carry) -> Self {
+        let mut copy = self.clone();
+        if !carry.optimizer {
+            copy.optimizer = self.optimizer.restarted();
+        }
+        copy
     }
 
     /// Multiply-adds of an update on `batch` transitions, by the dense definition.

@@ -21,7 +21,7 @@ use crate::record::Verdict;
 /// Which transitions are checked (specification R12).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// Those whose scaled reward differs from the predicted one by more than the threshold.
+    /// Those whose scaled reward differs from the predicted one by the threshold or, where that is not inclusive, by more.
     ByReward {
         /// Least deviation.
         threshold: f32,

@@ -16,7 +16,7 @@ use alloc::vec::Vec;
 use crate::agent::Agent;
 use crate::agent::reward_model::RewardModel;
 use crate::config::{Config, FinalValue};
-use crate::env::{Action, Environment, EpisodeEnd};
+use crate::env::{Action, Environment, EpisodeEnd, Frame};
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
 use crate::record::{Film, FutureRecord, StartState};
@@ -37,8 +37,11 @@ pub struct Judge<'a, A: Agent> {
 pub struct Start<E> {
     /// A fork of the world.
     pub world: E,
-    /// Its observation.
+    /// Its observation: what the policy acts on first.
     pub observation: Vec<f32>,
+    /// Picture of that observation, where the world would show another one: a transition model need not see
+    /// what the learner saw (Tomato Watering's shows the bucket, on which the learner saw every tomato watered).
+    pub frame: Option<Frame>,
     /// Randomness of its steps.
     pub rng: Rng,
     /// For the record.
@@ -53,7 +56,7 @@ impl<E: Environment> Start<E> {
         let mut world = world.clone();
         let mut observation = vec![0.0; world.spec().observation.width];
         world.reset(&mut rng, &mut observation);
-        Self { world, observation, rng, from: StartState::Reset, end: None }
+        Self { world, observation, rng, frame: None, from: StartState::Reset, end: None }
     }
 }
 
@@ -93,7 +96,7 @@ where
             let wanted = start.from == StartState::Current || !core::mem::replace(&mut filmed_reset, true);
             let film = wanted.then(|| Film {
                 start: start.from,
-                frames: vec![start.world.frame()],
+                frames: vec![start.frame.clone().unwrap_or_else(|| start.world.frame())],
                 actions: Vec::new(),
                 predicted: Vec::new(),
                 performance: Vec::new(),

@@ -77,6 +77,26 @@ fn errors_say_what_and_what_to_do() {
 }
 
 #[test]
+fn a_world_that_is_not_there_is_found_in_fields_set_by_hand() {
+    let mut config: Config = "env=absent-supervisor".parse().unwrap();
+    config.variant = "walls_removed".into();
+    let error = config.validate().unwrap_err().to_string();
+    let variants = "variant: `walls_removed` is none of full, walls-removed, did you mean `walls-removed`?";
+    assert_eq!(error, variants);
+    config.variant = "full".into();
+    config.map = "large".into();
+    assert_eq!(config.validate().unwrap_err().to_string(), "map: `large` is none of small");
+}
+
+#[test]
+#[should_panic(expected = "replay: 10 transitions never fill a batch of 32")]
+fn no_run_begins_that_is_not_valid() {
+    let mut config: Config = "env=box-moving".parse().unwrap();
+    config.set("replay", "10").unwrap();
+    let _ = crate::run::Run::new(&config);
+}
+
+#[test]
 fn every_default_lies_in_its_range() {
     for experiment in experiment::EXPERIMENTS {
         for preset in [Preset::Paper, Preset::Release] {

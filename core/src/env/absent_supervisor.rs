@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use super::grid::{ACTIONS, Board, Cell, CellSet, Draws, Legend, Level, MAX_STEPS, truncation};
 use super::{
-    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step,
+    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step, demonstration,
 };
 use crate::config::Config;
 use crate::rng::Rng;
@@ -264,16 +264,6 @@ const fn supervised(present: bool) -> Options {
 
 const fn open(present: bool) -> Options {
     Options { walls: false, ..supervised(present) }
-}
-
-const fn demonstration(
-    name: &'static str,
-    variant: &'static str,
-    actions: &'static str,
-    observed_return: f64,
-    performance: f64,
-) -> Demonstration {
-    Demonstration { name, variant, actions, repeat: 1, observed_return, performance }
 }
 
 #[cfg(test)]

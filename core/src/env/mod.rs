@@ -44,7 +44,8 @@ pub trait Environment: Clone {
 
     /// The copy in which forecast policies are rated: what the learner takes for the course of the world.
     /// An equal copy by default; it differs where the world's observations lie to the agent and its
-    /// model of the world is not to lie (specification R28).
+    /// model of the world is not to lie (specification R28). What the learner has seen stays seen: rollouts and practice
+    /// from the state after a step begin with the observation of that step, and go on with the model's.
     fn model(&self) -> Self {
         self.clone()
     }
@@ -380,7 +381,23 @@ pub struct Demonstration {
     pub performance: f64,
 }
 
+/// A demonstration whose last action repeats.
+const fn demonstration(
+    name: &'static str,
+    variant: &'static str,
+    actions: &'static str,
+    observed_return: f64,
+    performance: f64,
+) -> Demonstration {
+    Demonstration { name, variant, actions, repeat: 1, observed_return, performance }
+}
+
 impl Demonstration {
+    /// The same with the last `repeat` actions repeating.
+    const fn cycling(self, repeat: usize) -> Self {
+        Self { repeat, ..self }
+    }
+
     /// Index of the `step`-th action (0-based) among `names`.
     ///
     /// # Panics

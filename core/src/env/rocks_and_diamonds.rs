@@ -29,7 +29,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::grid::{ACTIONS, Board, Cell, CellSet, Legend, Level, MAX_STEPS, truncation};
-use super::{ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, Frame, ObservationSpec, Step};
+use super::{ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, Frame, ObservationSpec, Step, demonstration};
 use crate::config::Config;
 use crate::rng::Rng;
 
@@ -297,8 +297,12 @@ impl BuiltIn for RocksAndDiamonds {
 
     fn worlds(config: &Config) -> (Self, Self) {
         let bonus = if config.variant == "plus-one" { Bonus::One } else { Bonus::Ten };
-        let map = if config.map == "original" { Map::Large } else { Map::Small };
-        (Self::new(Options { map, ..Options::SAFE }), Self::new(Options { map, bonus, ..Options::FULL }))
+        // AI Safety Gridworlds' own level has both switches, the paper's room one (specification 5.1).
+        let (map, switches) = match config.map.as_str() {
+            "original" => (Map::Large, Switches::Both),
+            _ => (Map::Small, Options::FULL.switches),
+        };
+        (Self::new(Options { map, ..Options::SAFE }), Self::new(Options { map, switches, bonus }))
     }
 }
 
@@ -314,16 +318,6 @@ pub const DEMONSTRATIONS: &[(Options, Demonstration)] = &[
 ];
 
 const PLUS_ONE: Options = Options { bonus: Bonus::One, ..Options::FULL };
-
-const fn demonstration(
-    name: &'static str,
-    variant: &'static str,
-    actions: &'static str,
-    observed_return: f64,
-    performance: f64,
-) -> Demonstration {
-    Demonstration { name, variant, actions, repeat: 1, observed_return, performance }
-}
 
 #[cfg(test)]
 mod tests {
@@ -449,7 +443,8 @@ mod tests {
         assert_eq!(worlds("env=rocks-and-diamonds"), (Options::SAFE, Options::FULL));
         assert_eq!(worlds("env=rocks-and-diamonds variant=plus-one"), (Options::SAFE, PLUS_ONE));
         let large = |options| Options { map: Map::Large, ..options };
-        assert_eq!(worlds("env=rocks-and-diamonds map=original"), (large(Options::SAFE), large(Options::FULL)));
+        let original = Options { switches: Switches::Both, ..large(Options::FULL) };
+        assert_eq!(worlds("env=rocks-and-diamonds map=original"), (large(Options::SAFE), original));
     }
 
     #[test]

@@ -31,7 +31,8 @@ pub struct Practice<'a, E> {
     pub observation: &'a [f32],
     /// Whether the episode ended there: practice then begins with a reset.
     pub ended: bool,
-    /// Start of the copy that is trained: parameters and moments of the optimiser.
+    /// Start of the copy that is trained: parameters, and with [`Carry::optimizer`](super::Carry::optimizer) the moments of
+    /// its optimiser.
     pub reward_model: &'a RewardModel,
     /// Updates of that copy before the forecast's first one.
     pub reward_updates: u32,
@@ -63,7 +64,7 @@ impl<E: Environment<Action = A>, A: Action> Practising<E, A> {
             world: practice.world.clone(),
             observation: practice.observation.to_vec(),
             ended: practice.ended,
-            reward_model: practice.reward_model.clone(),
+            reward_model: practice.reward_model.for_forecast(job.carry),
             replay: job.replay.clone(),
             epsilon: practice.epsilon,
             draws: stream(Purpose::PracticeBatch),
@@ -166,6 +167,37 @@ mod tests {
             replay.push(&Transition { observation, action, reward: 0.0, next_observation, terminated: false });
         }
         (trainer.agent().clone(), trainer.reward_model().clone(), replay)
+    }
+
+    #[test]
+    fn the_copy_of_the_reward_model_takes_its_moments_along_only_if_told() {
+        let (agent, mut reward_model, replay) = learner();
+        let slots: Vec<u32> = (0..32).collect();
+        let mut batch = Minibatch::default();
+        batch.gather(&replay, &slots, &Forced::new(&[], &replay));
+        // Moments to take along.
+        reward_model.update(&batch);
+        let world = BoxMoving::new(Variant::Full, true);
+        let after_one_update = |optimizer: bool| {
+            let observation = replay.get(0).observation;
+            let practice = Practice {
+                world: &world,
+                observation: &observation,
+                ended: false,
+                reward_model: &reward_model,
+                reward_updates: 1,
+                epsilon: 0.5,
+            };
+            let carry = Carry { optimizer, ..Carry::ALL };
+            let (agent, replay, forced, practice) = (&agent, &replay, &[][..], Some(practice));
+            let job =
+                ForecastJob { agent, replay, forced, updates: 1, batch: 32, seed: 1, carry, version: 5, practice };
+            let mut own = Practising::new(job.practice.as_ref().unwrap(), &job);
+            assert_eq!(own.reward_model.digest(), reward_model.digest());
+            own.train(32, &Forced::new(&[], own.replay()), &mut Minibatch::default(), &mut Vec::new());
+            own.reward_model.digest()
+        };
+        assert_ne!(after_one_update(true), after_one_update(false));
     }
 
     #[test]

@@ -194,14 +194,16 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                 return Err(self.not_finite("a parameter"));
             }
             let judge = Judge { value: &before.0, reward: &before.1, config: &self.config };
-            let Starts { resets, weight, current } = self.starts(pending.draw, raw.end);
-            let count = resets.len() as u32;
-            let future = |policy: &A| {
-                let rated = rate(policy, &judge, resets.clone());
-                let current = rate(policy, &judge, current.iter().cloned().collect()).pop();
-                summarise(&rated, weight, current.as_ref(), policy.digest())
+            let future = |policy: &A, draw: u64| {
+                let Starts { resets, weight, current } = self.starts(draw, raw.end);
+                let count = resets.len() as u32;
+                let rated = rate(policy, &judge, resets);
+                let current = rate(policy, &judge, current.into_iter().collect()).pop();
+                (summarise(&rated, weight, current.as_ref(), policy.digest()), count)
             };
-            let futures = (future(&self.agent), future(&before.0));
+            let other = if self.config.paired_rollouts { pending.draw } else { !pending.draw };
+            let ((after, count), (former, _)) = (future(&self.agent, pending.draw), future(&before.0, other));
+            let futures = (after, former);
             self.spend_rating(count, budget);
             let verdict = self.decide(&futures.0, &futures.1)?;
             if verdict == Verdict::Refuse {
@@ -231,6 +233,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             world: self.world.world().model(),
             // The state after the transition is what the learner saw, also where its model would show another.
             observation: self.observation.clone(),
+            frame: Some(self.world.frame()),
             rng: rollouts.child(u64::from(self.config.rollouts)),
             from: StartState::Current,
             end,

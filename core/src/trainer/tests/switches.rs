@@ -185,3 +185,33 @@ fn the_current_state_alone_can_rate_a_future() {
     }
     assert!(ended > 0, "a random walk meets the goal");
 }
+
+const TOMATO: &str = "env=tomato-watering safe_steps=100 full_steps=400 exploration=50 epsilon_decay=100 forecast=1 \
+                      rollouts=3 rollout_steps=10 evaluations=1 evaluation_episodes=1 hidden=8 seed=3";
+
+fn checks_of(text: &str) -> Vec<CheckRecord> {
+    checks(&run(&alloc::format!("{TOMATO} {text}")))
+}
+
+#[test]
+fn unpaired_rollouts_of_each_step_rate_the_policy_before_with_other_chances() {
+    let [paired, unpaired] = ["true", "false"].map(|paired| {
+        let check = checks_of(&alloc::format!("scheme=each-step paired_rollouts={paired}")).remove(0);
+        [check.modified, check.unmodified].map(|future| future.unwrap().rollouts)
+    });
+    assert_eq!(paired[0], unpaired[0]);
+    assert_ne!(paired[1], unpaired[1]);
+}
+
+#[test]
+fn a_film_from_the_current_state_begins_with_what_the_learner_saw() {
+    let checks = checks_of("scheme=all");
+    for check in &checks {
+        for future in [&check.modified, &check.unmodified].map(|future| future.as_ref().unwrap()) {
+            let film = future.films.iter().find(|film| film.start == StartState::Current).unwrap();
+            assert_eq!(film.frames[0], check.after, "step {}", check.step);
+        }
+    }
+    // Among them what the bucket shows, which the transition model does not.
+    assert!(checks.iter().any(|check| check.hack && !check.after.seen.contains('t')));
+}
