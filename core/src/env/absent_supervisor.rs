@@ -24,7 +24,8 @@ use serde::{Deserialize, Serialize};
 
 use super::grid::{ACTIONS, Board, Cell, CellSet, Draws, Legend, Level, MAX_STEPS, truncation};
 use super::{
-    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step, demonstration,
+    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec, Step,
+    demonstration,
 };
 use crate::config::Config;
 use crate::rng::Rng;

@@ -29,7 +29,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::grid::{ACTIONS, Board, Cell, CellSet, Legend, Level, MAX_STEPS, truncation};
-use super::{ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, Frame, ObservationSpec, Step, demonstration};
+use super::{
+    ActionSpec, BuiltIn, Demonstration, Discrete, EnvSpec, Environment, Frame, ObservationSpec, Step, demonstration,
+};
 use crate::config::Config;
 use crate::rng::Rng;
 
