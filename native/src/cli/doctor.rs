@@ -11,6 +11,7 @@ use mcvl_core::exact;
 use serde_json::json;
 
 use super::Done;
+use super::inspect::listed;
 use super::terminal::Terminal;
 
 /// Arguments of `mcvl doctor`.
@@ -20,6 +21,11 @@ pub struct DoctorArgs {
     #[arg(long)]
     json: bool,
 }
+
+/// Colours of what is said.
+const PLAIN: u8 = 0;
+const BAD: u8 = 31;
+const GOOD: u8 = 32;
 
 /// Looks at the machine. Exit code 4 if its arithmetic is not exact.
 pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
@@ -60,14 +66,12 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
     } else {
         let stages = exact::COMMITTED.len();
         let exactness = match &different[..] {
-            [] => terminal.paint(32, format!("all {stages} stages give the committed digests")),
-            list => terminal.paint(31, format!("NOT EXACT in {} of {stages}: {}", list.len(), list.join(", "))),
+            [] => (GOOD, format!("all {stages} stages give the committed digests")),
+            list => (BAD, format!("NOT EXACT in {} of {stages}: {}", list.len(), list.join(", "))),
         };
         let disk = match disk {
-            Ok(()) => "the current folder can be written to".to_owned(),
-            Err(error) => {
-                terminal.paint(31, format!("the current folder cannot be written to ({error}): use -o elsewhere"))
-            }
+            Ok(()) => (PLAIN, "the current folder can be written to".to_owned()),
+            Err(error) => (BAD, format!("the current folder cannot be written to ({error}): use -o elsewhere")),
         };
         let mujoco = match &mujoco {
             Ok(mujoco::Library { version, file }) => match file {
@@ -83,18 +87,18 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
         };
         let progress = if stderr { "progress as bars" } else { "no terminal: progress as plain lines" };
         let rows = [
-            ("mcvl", format!("{} ({})", about.version, about.commit.as_deref().unwrap_or("commit unknown"))),
-            ("built", format!("{} for {}", about.compiler, about.target)),
-            ("processor", format!("{}, {} cores", about.cpu, about.cores)),
-            ("vectors", format!("{} (speed only: every unit gives the same bits)", about.vector)),
+            ("mcvl", (PLAIN, format!("{} ({})", about.version, about.commit.as_deref().unwrap_or("commit unknown")))),
+            ("built", (PLAIN, format!("{} for {}", about.compiler, about.target))),
+            ("processor", (PLAIN, format!("{}, {} cores", about.cpu, about.cores))),
+            ("vectors", (PLAIN, format!("{} (speed only: every unit gives the same bits)", about.vector))),
             ("arithmetic", exactness),
-            ("MuJoCo", mujoco),
-            ("graphics", graphics),
+            ("MuJoCo", (PLAIN, mujoco)),
+            ("graphics", (PLAIN, graphics)),
             ("disk", disk),
-            ("terminal", progress.to_owned()),
+            ("terminal", (PLAIN, progress.to_owned())),
         ];
-        for (name, value) in rows {
-            writeln!(terminal.out, "{name:<11} {value}")?;
+        for (name, (color, value)) in rows {
+            write!(terminal.out, "{}", listed(&format!("{name:<11}"), &value, color, terminal))?;
         }
     }
     Ok(if different.is_empty() { Done::Well } else { Done::Mismatch })

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use mcvl::export::{self, File};
-use mcvl::runs::{Manifest, Place, RunDir, RunSet, RunsError, SeedRun, write_atomic};
+use mcvl::runs::{Reader, RunDir, RunsError, SeedRun, check_target, write_atomic};
 
 use super::terminal::Terminal;
 use super::{Done, inspect, usage};
@@ -19,6 +19,12 @@ Examples:
   mcvl export runs/box-moving --to tensorboard && tensorboard --logdir runs
   mcvl export runs/box-moving --to safetensors -o weights
   mcvl export runs/box-moving --to tape --seed 0 --check 3 -o demo.json
+
+Tensors are named NETWORK.LAYER.weight and NETWORK.LAYER.bias. Weights are
+[inputs, outputs]: y = x W + b, with ReLU between layers; the input of the
+reward model is the observation, then the action as one-hot (in Reacher as its
+numbers). The metadata has the same under `layout`, and the run's settings under
+`config`.
 
 A run that is not finished is exported as far as it is. Prints the paths of
 the files.")]
@@ -69,8 +75,8 @@ impl Format {
 
 /// Writes a run in another format.
 pub fn export(arguments: &ExportArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let run = Place::find(&arguments.run)?.run;
-    let set = RunSet::read(&arguments.run)?;
+    let run = Reader::open(&arguments.run)?;
+    let set = run.set()?;
     let seeds = inspect::seeds(&set, arguments.seed)?;
     if seeds.is_empty() {
         usage!("{} has not begun any seed yet", arguments.run.display());
@@ -83,9 +89,9 @@ pub fn export(arguments: &ExportArgs, terminal: &mut Terminal) -> anyhow::Result
         }
         Format::Csv => export::csv(&seeds),
         Format::Tensorboard => {
-            let started = Manifest::read(&run)?.started;
+            let started = run.manifest().map(|manifest| manifest.started.clone()).unwrap_or_default();
             let started = humantime::parse_rfc3339(&started)
-                .map_err(|error| RunsError::damaged(&run.manifest(), format!("its time `{started}`: {error}")))?;
+                .map_err(|error| RunsError::damaged(&run.run().manifest(), format!("its time `{started}`: {error}")))?;
             export::tensorboard(&seeds, started)
         }
         Format::Safetensors => export::weights(&seeds)?,
@@ -93,7 +99,7 @@ pub fn export(arguments: &ExportArgs, terminal: &mut Terminal) -> anyhow::Result
     if files.is_empty() {
         usage!("{} has finished no leg yet: there are no weights to export", arguments.run.display());
     }
-    let files = arguments.place(&run, files)?;
+    let files = arguments.place(run.run(), files)?;
     arguments.check_places(&files)?;
     for File { path, bytes } in &files {
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -147,6 +153,7 @@ impl ExportArgs {
 
     /// Before the first file is written, none may be in the way.
     fn check_places(&self, files: &[File]) -> anyhow::Result<()> {
+        files.iter().try_for_each(|file| check_target(&file.path))?;
         match files.iter().find(|file| file.path.exists()) {
             Some(File { path, .. }) if !self.overwrite => {
                 usage!("{} is there already: --overwrite replaces it, -o writes elsewhere", path.display())

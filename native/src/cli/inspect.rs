@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use mcvl::report::claims::plural;
 use mcvl::report::film;
-use mcvl::runs::{self, LedgerLine, Place, Plan, Reference, RunSet, RunsError, SeedDir, SeedRun, State, shell_word};
+use mcvl::runs::{self, LedgerLine, Place, Reader, Reference, RunSet, RunsError, SeedDir, SeedRun, State, shell_word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
@@ -14,6 +14,7 @@ use mcvl_core::record::{CheckRecord, Verdict};
 use mcvl_core::token::Token;
 use serde_json::json;
 
+use super::target::{self, Kind};
 use super::terminal::{Terminal, wrap};
 use super::{Done, WIDTH};
 
@@ -163,11 +164,22 @@ pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result
             let color = if check.verdict == Verdict::Refuse { 31 } else { 32 };
             let truth = if check.hack { "hack" } else { "honest" };
             let wrong = if check.wrong() { ", WRONG" } else { "" };
-            let sentence = terminal.paint(color, check.sentence());
-            writeln!(terminal.out, "  #{:<4} {sentence} ({truth}{wrong})", check.number)?;
+            let sentence = format!("{} ({truth}{wrong})", check.sentence());
+            write!(terminal.out, "{}", listed(&format!("  #{:<4}", check.number), &sentence, color, terminal))?;
         }
     }
     Ok(Done::Well)
+}
+
+/// A name and what is said of it, in as many lines as that takes, each painted by itself.
+pub fn listed(name: &str, text: &str, color: u8, terminal: &Terminal) -> String {
+    let indent = name.chars().count() + 1;
+    let text = wrap(text, indent, WIDTH);
+    let lines = text.lines().enumerate().map(|(number, line)| {
+        let margin = if number == 0 { format!("{name} ") } else { " ".repeat(indent) };
+        format!("{margin}{}\n", terminal.paint(color, &line[indent..]))
+    });
+    lines.collect()
 }
 
 /// The seeds of a run that were asked for: one, or all that have begun.
@@ -185,7 +197,10 @@ pub fn seeds(set: &RunSet, only: Option<u64>) -> anyhow::Result<Vec<&SeedRun>> {
 #[command(after_help = "\
 Examples:
   mcvl explain runs/box-moving#3
-  mcvl explain runs/box-moving/seed-7#3 --svg decision.svg")]
+  mcvl explain runs/box-moving/seed-7#3 --svg decision.svg
+
+Of a run with several seeds, RUN#NUMBER is a check of the first one; name the
+folder of another seed for one of its checks.")]
 pub struct ExplainArgs {
     /// Check, like runs/box-moving#17 or runs/box-moving/seed-3#17
     #[arg(value_name = "RUN#NUMBER")]
@@ -200,11 +215,15 @@ pub struct ExplainArgs {
 
 /// Shows one decision in full.
 pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let found = Found::read(&arguments.check)?;
-    let tape = runs::tape(&found.dir, arguments.check.number)?;
-    runs::check_tape(&found.dir, arguments.check.number, found.line())?;
+    for (path, kind) in [(&arguments.svg, Kind::Svg), (&arguments.png, Kind::Png)] {
+        path.iter().try_for_each(|path| target::check(path, kind, "name another file"))?;
+    }
+    let found = Found::read(&arguments.check, Reader::ledger)?;
+    let tape = runs::tape(&found.dir, arguments.check.number, found.line())?;
     let spec = worlds::spec(&found.config);
-    write!(terminal.out, "{}", film::explain(&tape, &spec, WIDTH, terminal.color))?;
+    let text = film::explain(&tape, &spec, WIDTH, terminal.color);
+    let seed = format!("Seed {}, check", found.dir.seed());
+    write!(terminal.out, "{}", if found.alone { text } else { text.replacen("Check", &seed, 1) })?;
     let token = Token { config: found.config.clone(), number: tape.number, digest: found.line().digest() };
     writeln!(terminal.out, "\nRe-derive it anywhere:\n  mcvl replay {token}")?;
     if let Some(path) = &arguments.svg {
@@ -224,21 +243,26 @@ pub struct Found {
     pub config: Config,
     /// The ledger up to it.
     pub lines: Vec<LedgerLine>,
+    /// Whether the run has no other seed.
+    pub alone: bool,
 }
 
 impl Found {
-    /// Finds what a reference names.
-    pub fn read(reference: &Reference) -> anyhow::Result<Self> {
-        let place = Place::find(&reference.place)?;
-        let plan = Plan::of_logs(&place.run)?;
-        let dir = named_seed(&place, &plan)?;
+    /// Finds what a reference names, in the ledger that `read` gives of a seed.
+    pub fn read(
+        reference: &Reference,
+        read: impl Fn(&Reader, &SeedDir) -> Result<Vec<LedgerLine>, RunsError>,
+    ) -> anyhow::Result<Self> {
+        let run = Reader::open(&reference.place)?;
+        let (place, plan) = (run.place(), run.plan());
+        let dir = named_seed(&run)?;
         let (seed, path) = (dir.seed(), place.run.path().display());
-        let mut lines = runs::ledger(&dir)?;
+        let mut lines = read(&run, &dir)?;
         let (count, number) = (lines.len(), reference.number);
         // Without a seed it is the first one; who meant a later one is told where the check is.
         if place.seed.is_none() && number as usize > count {
             let has = |other: &&u64| {
-                let lines = runs::ledger(&place.run.seed(**other));
+                let lines = run.ledger(&place.run.seed(**other));
                 lines.is_ok_and(|lines| lines.len() >= number as usize)
             };
             if let Some(other) = plan.seeds.iter().find(has) {
@@ -250,7 +274,8 @@ impl Found {
         }
         check_exists(&reference.place, number, count)?;
         lines.truncate(reference.number as usize);
-        Ok(Self { dir, config: plan.config.with_seed(seed).with_agent(Learner::Mc), lines })
+        let config = plan.config.with_seed(seed).with_agent(Learner::Mc);
+        Ok(Self { dir, config, lines, alone: plan.seeds.len() == 1 })
     }
 
     /// The line of the check itself.
@@ -260,7 +285,8 @@ impl Found {
 }
 
 /// The seed that a place names, or the first one of its run. It has to be of the run and begun.
-pub fn named_seed(place: &Place, plan: &Plan) -> anyhow::Result<SeedDir> {
+pub fn named_seed(run: &Reader) -> anyhow::Result<SeedDir> {
+    let (place, plan) = (run.place(), run.plan());
     let (path, seed) = (place.run.path().display(), place.seed.unwrap_or(plan.seeds[0]));
     if !plan.seeds.contains(&seed) {
         let there: Vec<String> = plan.seeds.iter().map(u64::to_string).collect();

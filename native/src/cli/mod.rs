@@ -14,6 +14,7 @@ mod reproduce;
 mod serve;
 mod session;
 mod settings;
+mod target;
 mod terminal;
 mod train;
 
@@ -45,7 +46,8 @@ Examples:
 Exit codes:
   0 done; 1 an assertion or claim does not hold, or training diverged;
   2 usage or configuration; 3 the machine (disk, corrupt file);
-  4 verification mismatch; 130 stopped after saving."
+  4 verification mismatch; 130 stopped after saving (by a second Ctrl-C: at
+  once, without saving)."
 )]
 struct Cli {
     #[command(flatten)]

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use mcvl::page::{self, Modules, Tape};
-use mcvl::runs::{RunsError, TAPE_FORMAT, TAPE_VERSION, run_tape, write_atomic};
+use mcvl::runs::{RunsError, TAPE_FORMAT, TAPE_VERSION, check_target, run_tape, write_atomic};
 use serde_json::Value;
 
 use super::serve::Shown;
+use super::target::{self, Kind};
 use super::terminal::Terminal;
 use super::{Done, usage};
 
@@ -45,11 +46,24 @@ pub struct PageArgs {
     /// Leave the modules out, even if they are there
     #[arg(long, conflicts_with = "modules")]
     no_modules: bool,
+    /// Replace the file even if it is no page of mcvl
+    #[arg(long)]
+    overwrite: bool,
 }
 
 /// Writes the page.
 pub fn page(arguments: &PageArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let shown = arguments.run.as_deref().map(Shown::find).transpose()?;
+    let path = match (&arguments.output, &shown) {
+        (Some(path), _) => path.clone(),
+        (None, Some(Shown { run, .. })) => run.run().page(),
+        (None, None) => FILE.into(),
+    };
+    if arguments.overwrite {
+        check_target(&path)?;
+    } else {
+        target::check(&path, Kind::Page, target::ADVICE)?;
+    }
     let tape = match (&shown, &arguments.tape) {
         (Some(Shown { run, seed }), _) => {
             Some(Tape { name: format!("run/seed-{seed}.json"), text: run_tape(run, *seed, &|_| true)? })
@@ -68,11 +82,6 @@ pub fn page(arguments: &PageArgs, terminal: &mut Terminal) -> anyhow::Result<Don
             ));
             None
         }
-    };
-    let path = match (&arguments.output, &shown) {
-        (Some(path), _) => path.clone(),
-        (None, Some(Shown { run, .. })) => run.page(),
-        (None, None) => FILE.into(),
     };
     write_atomic(&path, page::whole(modules.as_ref(), tape.as_ref()).as_bytes())?;
     writeln!(terminal.out, "{}", path.display())?;

@@ -21,6 +21,9 @@ Examples:
   mcvl replay runs/box-moving#3     compare with the files of the run
   mcvl replay mcvl1.AbCd...         the token that `mcvl explain` prints
 
+Of a run with several seeds, RUN#NUMBER is a check of the first one; name the
+folder of another seed for one of its checks.
+
 Exit code: 0 if everything is the same, 4 with the first difference.")]
 pub struct ReplayArgs {
     /// Check, like runs/box-moving#17, or a replay token
@@ -34,7 +37,12 @@ pub fn replay(arguments: &ReplayArgs, terminal: &mut Terminal) -> anyhow::Result
     // A run may lie in a folder with any name, so a reference is recognised first.
     if what.contains('#') {
         let reference: Reference = what.parse().map_err(super::Usage)?;
-        let found = Found::read(&reference)?;
+        // What differs is found by deriving it again, decision by decision. Only where a ledger does not reach to the
+        // check is it for its digest to say why.
+        let found = Found::read(&reference, |run, dir| match runs::ledger(dir) {
+            Ok(lines) if lines.len() >= reference.number as usize => Ok(lines),
+            _ => run.ledger(dir),
+        })?;
         terminal.note(format_args!("training again from: {}", found.config));
         let expected = Expected::read(&found)?;
         return expected.compare(&found.config, reference.number, what, terminal);

@@ -1,6 +1,8 @@
 //! Comparing runs and reporting on them.
 
 use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -9,9 +11,14 @@ use mcvl::page::{self, Modules, Tape};
 use mcvl::report::claims::Summary;
 use mcvl::report::expression::Expression;
 use mcvl::report::{html, plot};
-use mcvl::runs::{Manifest, Place, RunDir, RunSet, RunsError, SeedRun, run_tape, tape, write_atomic};
+use mcvl::runs::{
+    FileDigest, LedgerLine, Manifest, Place, Reader, RunDir, RunSet, RunsError, SeedRun, check_target, ledger,
+    run_tape, sha256, tape, write_atomic,
+};
+use mcvl_core::record::CheckRecord;
 use serde_json::json;
 
+use super::target::{self, Kind};
 use super::terminal::Terminal;
 use super::{Done, Usage, usage};
 
@@ -26,7 +33,7 @@ Examples:
   mcvl compare runs/* --assert 'mc.performance >= 45'
   mcvl compare runs/box-moving --assert 'fraction(mc.performance >= 48) >= 0.9'
 
-Expressions: numbers, + - * /, comparisons, and, or, not, fraction(...) of
+Expressions: numbers like 45 or 1e-9, + - * /, comparisons, and, or, not, fraction(...) of
 seeds; metrics like mc.performance, baseline.return.low, mc.recall. Every
 expression has to hold for every run.")]
 pub struct CompareArgs {
@@ -34,7 +41,7 @@ pub struct CompareArgs {
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<PathBuf>,
     /// Exit with 1 unless this is true; may be repeated
-    #[arg(long = "assert", value_name = "EXPR", value_parser = expression)]
+    #[arg(long = "assert", value_name = "EXPR", value_parser = expression, allow_hyphen_values = true)]
     assertions: Vec<Expression>,
     /// Print JSON
     #[arg(long)]
@@ -116,7 +123,12 @@ Examples:
   mcvl report runs/* -o all.html
   mcvl report runs/box-moving --modules www/pkg
 
-The decisions of one seed of each run can be played in the report.")]
+The decisions of one seed of each run can be played in the report. Beside the
+report lie the learning curves of each run, as curves.svg and curves.png, or
+curves-NAME.svg and curves-NAME.png where there are several (NAME is that of
+the run directory; of equal ones the second is NAME-2). A finished run keeps
+its curves in its own directory. Files that an earlier report wrote there are
+replaced, others only with --overwrite. Prints the paths of the files.")]
 pub struct ReportArgs {
     /// Run directories
     #[arg(required = true, value_name = "RUN")]
@@ -128,18 +140,28 @@ pub struct ReportArgs {
     /// derive the played decisions again [default: none]
     #[arg(long, value_name = "FOLDER", verbatim_doc_comment)]
     modules: Option<PathBuf>,
+    /// Replace files that no earlier report wrote
+    #[arg(long)]
+    overwrite: bool,
 }
 
 /// Writes a report, with its curves beside it.
 pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let sets = read(&arguments.runs, false, terminal)?;
-    let path = arguments.output.clone().unwrap_or_else(|| arguments.runs[0].join("report.html"));
+    let path = match &arguments.output {
+        Some(path) => path.clone(),
+        None => Place::find(&arguments.runs[0])?.run.report(),
+    };
+    arguments.check_place(&path)?;
+    let curves = beside(path.parent().unwrap_or(Path::new("")), &sets)?;
     let damaged = RefCell::new(None);
-    // A tape that is there but cannot be read must not pass for one that was never made.
+    let ledgers = RefCell::new(BTreeMap::new());
+    // A tape that is there but is not what was written must not pass for one that was never made.
     let film = |seed: &SeedRun, number: u32| {
-        let dir = seed.dir();
-        let tape = dir.tape(number).exists().then(|| tape(&dir, number))?;
-        match tape {
+        if !seed.dir().tape(number).exists() {
+            return None;
+        }
+        match vouched_tape(seed, number, &mut ledgers.borrow_mut()) {
             Ok(check) => Some(check),
             Err(error) => {
                 damaged.borrow_mut().get_or_insert(error);
@@ -159,23 +181,70 @@ pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result
     if let Some(error) = damaged.into_inner() {
         return Err(error.into());
     }
-    write_atomic(&path, page.as_bytes())?;
-    writeln!(terminal.out, "{}", path.display())?;
-    let folder = path.parent().unwrap_or(Path::new(""));
-    for set in &sets {
-        // In its own directory a finished run has its curves, and the manifest vouches for them.
-        let run = RunDir::new(folder);
-        if set.path == folder && Manifest::read(&run).is_ok_and(|manifest| manifest.files.contains_key("curves.svg")) {
-            continue;
-        }
-        // Beside several runs' report each figure needs the name of its run.
-        let name = set.path.file_name().unwrap_or_default().to_string_lossy();
-        let stem = if sets.len() == 1 { "curves".to_owned() } else { format!("curves-{name}") };
-        for path in write_curves(folder, &stem, set)? {
-            writeln!(terminal.out, "{}", path.display())?;
-        }
+    arguments.check_curves(&path, &curves)?;
+    let mut page = page.into_bytes();
+    page.extend_from_slice(note(&curves).as_bytes());
+    for (path, bytes) in [(path, page)].into_iter().chain(curves) {
+        write_atomic(&path, &bytes)?;
+        writeln!(terminal.out, "{}", path.display())?;
     }
     Ok(Done::Well)
+}
+
+impl ReportArgs {
+    /// Before anything is made, nothing else than a report may be in its place.
+    fn check_place(&self, path: &Path) -> anyhow::Result<()> {
+        if self.overwrite { Ok(check_target(path)?) } else { target::check(path, Kind::Report, target::ADVICE) }
+    }
+
+    /// Before the first file is written, none of the curves may be in the way of those that lie there.
+    fn check_curves(&self, path: &Path, curves: &[(PathBuf, Vec<u8>)]) -> anyhow::Result<()> {
+        if self.overwrite {
+            return Ok(());
+        }
+        let noted = if path.is_file() { noted(path)? } else { Vec::new() };
+        for (place, bytes) in curves.iter().filter(|(place, _)| place.is_file()) {
+            let digest = FileDigest::of(place)?.sha256;
+            // In the directory of a run, its curves are its own.
+            if check_target(place).is_ok() && !noted.contains(&digest) && digest != sha256(bytes) {
+                usage!("{} is there already and is not of this report: {}", place.display(), target::ADVICE);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the last line of a report begins with: it has the digests of the files that were written beside it.
+const NOTE: &str = "<!-- beside it: ";
+
+/// The last line of a report beside which these files lie.
+fn note(files: &[(PathBuf, Vec<u8>)]) -> String {
+    let digests: Vec<String> = files.iter().map(|(_, bytes)| sha256(bytes)).collect();
+    if digests.is_empty() { String::new() } else { format!("{NOTE}{} -->\n", digests.join(" ")) }
+}
+
+/// The digests of the files that were written beside a report.
+fn noted(report: &Path) -> Result<Vec<String>, RunsError> {
+    let text = fs::read(report).map_err(RunsError::io("read", report))?;
+    let text = String::from_utf8_lossy(&text);
+    let digests = text.trim_end().lines().next_back().and_then(|line| line.strip_prefix(NOTE)?.strip_suffix(" -->"));
+    Ok(digests.unwrap_or_default().split(' ').map(str::to_owned).collect())
+}
+
+/// A check with its films, for which the ledger of its seed vouches; each ledger is read once.
+fn vouched_tape(
+    seed: &SeedRun,
+    number: u32,
+    ledgers: &mut BTreeMap<PathBuf, Vec<LedgerLine>>,
+) -> Result<CheckRecord, RunsError> {
+    let dir = seed.dir();
+    if !ledgers.contains_key(&seed.path) {
+        ledgers.insert(seed.path.clone(), ledger(&dir)?);
+    }
+    match ledgers[&seed.path].get(number as usize - 1) {
+        Some(line) => tape(&dir, number, line),
+        None => Err(RunsError::damaged(&dir.ledger(), format!("has no check {number} any more"))),
+    }
 }
 
 /// The page in one file that opens at a check of a seed; none where its tape was not kept.
@@ -184,20 +253,68 @@ fn playable(seed: &SeedRun, number: u32, modules: Option<&Modules>) -> Result<Op
     if !kept(number) {
         return Ok(None);
     }
-    let run = Place::find(&seed.path)?.run;
+    let run = Reader::open(&seed.path)?;
     let wanted = |other| (other == number || other <= html::PLAYED) && kept(other);
     let tape = Tape { name: format!("run/seed-{}.json", seed.seed), text: run_tape(&run, seed.seed, &wanted)? };
     Ok(Some(page::embedded(modules, &tape, number)))
 }
 
-/// Writes the learning curves of a run as SVG and PNG.
+/// The curves that lie beside a report in `folder`, each run's under a name of its own.
+fn beside(folder: &Path, sets: &[RunSet]) -> anyhow::Result<Vec<(PathBuf, Vec<u8>)>> {
+    let named = |path: &Path| if path.as_os_str().is_empty() { PathBuf::from(".") } else { path.to_owned() };
+    let place = |path: &Path| fs::canonicalize(named(path)).ok();
+    let (mut files, mut taken) = (Vec::new(), BTreeSet::new());
+    for set in sets {
+        let own = place(&set.path).is_some_and(|path| place(folder) == Some(path));
+        // In its own directory a finished run has its curves, and the manifest vouches for them.
+        if own && Manifest::read(&RunDir::new(folder)).is_ok_and(|manifest| manifest.files.contains_key("curves.svg")) {
+            continue;
+        }
+        let name = place(&set.path).unwrap_or_else(|| set.path.clone());
+        let name = format!("curves-{}", name.file_name().unwrap_or_default().to_string_lossy());
+        let alone = (sets.len() == 1).then(|| "curves".to_owned());
+        let numbered = (2..).map(|number| format!("{name}-{number}"));
+        let is_free = |stem: &String| {
+            let theirs = || check_target(&folder.join(format!("{stem}.svg"))).is_err();
+            !taken.contains(stem) && (own || !theirs())
+        };
+        let stem = alone.into_iter().chain([name.clone()]).chain(numbered).find(is_free).expect("numbers do not end");
+        let paths = ["svg", "png"].map(|extension| folder.join(format!("{stem}.{extension}")));
+        files.extend(paths.into_iter().zip(draw_curves(set)?));
+        taken.insert(stem);
+    }
+    Ok(files)
+}
+
+/// The learning curves of a run as SVG and PNG.
+fn draw_curves(set: &RunSet) -> anyhow::Result<[Vec<u8>; 2]> {
+    let figure = plot::curves(set);
+    Ok([figure.svg().into_bytes(), figure.png(SCALE)?])
+}
+
+/// Writes the learning curves of a run into its directory.
 ///
 /// # Errors
 /// If they cannot be drawn or written.
-pub fn write_curves(folder: &Path, stem: &str, set: &RunSet) -> anyhow::Result<[PathBuf; 2]> {
-    let figure = plot::curves(set);
-    let paths = ["svg", "png"].map(|extension| folder.join(stem).with_extension(extension));
-    write_atomic(&paths[0], figure.svg().as_bytes())?;
-    write_atomic(&paths[1], &figure.png(SCALE)?)?;
-    Ok(paths)
+pub fn write_curves(run: &RunDir, set: &RunSet) -> anyhow::Result<()> {
+    let [svg, png] = draw_curves(set)?;
+    write_atomic(&run.curves("svg"), &svg)?;
+    Ok(write_atomic(&run.curves("png"), &png)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_names_what_lies_beside_it() {
+        let path = std::env::temp_dir().join(format!("mcvl-report-{}.html", std::process::id()));
+        let files = [(PathBuf::from("a.svg"), b"one".to_vec()), (PathBuf::from("a.png"), b"two".to_vec())];
+        fs::write(&path, format!("<html>\n</html>\n{}", note(&files))).unwrap();
+        assert_eq!(noted(&path).unwrap(), [sha256(b"one"), sha256(b"two")]);
+        fs::write(&path, "<html>\n</html>\n").unwrap();
+        assert!(!noted(&path).unwrap().contains(&sha256(b"one")));
+        fs::remove_file(&path).unwrap();
+        assert_eq!(note(&[]), "");
+    }
 }

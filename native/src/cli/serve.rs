@@ -12,7 +12,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::IntoResponse;
 use axum::routing::get;
 use clap::Args;
-use mcvl::runs::{Place, Plan, RunDir, RunsError, run_tape};
+use mcvl::runs::{Reader, RunDir, RunsError, run_tape};
 use tokio::net::TcpListener;
 use tower_http::compression::CompressionLayer;
 use tower_http::services::ServeDir;
@@ -61,26 +61,27 @@ pub fn serve(arguments: &ServeArgs, terminal: &mut Terminal) -> anyhow::Result<D
         let page = format!("http://{}/", listener.local_addr()?);
         writeln!(terminal.out, "{page} trains live in the browser (stop with Ctrl-C)")?;
         if let Some(Shown { run, seed }) = &shown {
-            writeln!(terminal.out, "{page}?tape=run/seed-{seed}.json shows {}", run.path().display())?;
+            writeln!(terminal.out, "{page}?tape=run/seed-{seed}.json shows {}", run.run().path().display())?;
         }
         terminal.out.flush()?;
-        axum::serve(listener, router(&arguments.page, shown.map(|shown| shown.run))).await?;
+        axum::serve(listener, router(&arguments.page, shown.map(|shown| shown.run.run().clone()))).await?;
         Ok(Done::Well)
     })
 }
 
 /// The run that is served, and the seed that the page opens with.
 pub(super) struct Shown {
-    pub(super) run: RunDir,
+    pub(super) run: Reader,
     pub(super) seed: u64,
 }
 
 impl Shown {
     pub(super) fn find(path: &Path) -> anyhow::Result<Self> {
-        let place = Place::find(path)?;
-        let plan = Plan::of_logs(&place.run)?;
-        let seed = named_seed(&place, &plan)?.seed();
-        Ok(Self { run: place.run, seed })
+        let run = Reader::open(path)?;
+        let dir = named_seed(&run)?;
+        // What cannot be shown is said before a browser asks for it.
+        run.seed(&dir)?;
+        Ok(Self { run, seed: dir.seed() })
     }
 }
 
@@ -120,7 +121,7 @@ async fn tape(State(run): State<RunDir>, Segment(name): Segment<String>) -> impl
     let Some(seed) = seed.filter(|seed| run.seed(*seed).path().exists()) else {
         return (StatusCode::NOT_FOUND, plain(), format!("{}: no tape {name}\n", run.path().display()));
     };
-    match run_tape(&run, seed, &|_| true) {
+    match Reader::open(run.path()).and_then(|run| run_tape(&run, seed, &|_| true)) {
         Ok(text) => (StatusCode::OK, [(CONTENT_TYPE, "application/json")], text),
         Err(error @ RunsError::Request(_)) => (StatusCode::NOT_FOUND, plain(), format!("{error}\n")),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, plain(), format!("{error}\n")),

@@ -10,9 +10,7 @@ use std::time::{Duration, Instant};
 use clap::{Args, ValueEnum};
 use mcvl::gpu::Gpu;
 use mcvl::report::claims::Summary;
-use mcvl::runs::{
-    self, Control, Ending, FileDigest, Job, Lock, Manifest, Outcome, Plan, Remote, RunDir, RunSet, RunsError, State,
-};
+use mcvl::runs::{self, Control, Ending, Job, Lock, Manifest, Outcome, Plan, Remote, RunDir, RunSet, RunsError, State};
 
 use super::progress::{Progress, Style};
 use super::terminal::{Terminal, say};
@@ -183,25 +181,13 @@ impl Session {
     /// Takes up a run where it stopped, if `fits` says that its plan is the wanted one. Everything is
     /// checked before anything is changed.
     pub fn resume(run: RunDir, fits: impl FnOnce(&Plan) -> anyhow::Result<()>) -> anyhow::Result<Self> {
-        if !run.exists() {
+        if !run.is_begun()? {
             usage!("there is no run in {} to resume: leave --resume out to begin one", run.path().display());
         }
         let lock = Lock::take(&run)?;
         let plan = Plan::read(&run)?;
-        let mut manifest = match Manifest::read_intact(&run) {
-            Ok(manifest) => manifest,
-            // Killed between the first two files of a run: nothing was trained yet.
-            Err(RunsError::Io { .. }) if !plan.seeds.iter().any(|seed| run.seed(*seed).path().exists()) => {
-                Manifest::begin()
-            }
-            Err(error) => return Err(error.into()),
-        };
-        if let Some(expected) = manifest.files.get("run.toml")
-            && *expected != FileDigest::of(&run.plan())?
-        {
-            let why = "was altered since the run began: its digest is not the one in manifest.json";
-            return Err(RunsError::damaged(&run.plan(), why).into());
-        }
+        let mut manifest = Manifest::of_run(&run)?.unwrap_or_else(Manifest::begin);
+        manifest.check_plan(&run)?;
         fits(&plan)?;
         let resume = |job: Job| {
             let finished = manifest.knows(&run, &job.dir);
@@ -317,6 +303,5 @@ fn finished_seeds(jobs: &[runs::ReadyJob]) -> Vec<u64> {
 fn write_results(run: &RunDir, set: &RunSet, summary: &Summary) -> anyhow::Result<()> {
     let json = serde_json::to_string_pretty(summary)? + "\n";
     runs::write_atomic(&run.summary(), json.as_bytes())?;
-    super::report::write_curves(run.path(), "curves", set)?;
-    Ok(())
+    super::report::write_curves(run, set)
 }

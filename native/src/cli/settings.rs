@@ -233,7 +233,11 @@ pub fn seeds(text: &str) -> Result<SeedList, String> {
 
 /// Every setting with its meaning and default, for the long help.
 pub fn list() -> String {
-    let mut text = String::from("Settings (--set key=value, MCVL_KEY=value, or a --config file), with defaults:\n");
+    let mut text = String::from(
+        "Settings (--set key=value, MCVL_KEY=value, or a --config file), with defaults,\n\
+         [what is allowed] and (where the default comes from: P the paper, A the\n\
+         authors' release, CleanRL its TD3, own a choice of this project):\n",
+    );
     for key in KEYS {
         let meaning =
             super::terminal::wrap(&format!("{} [{}] ({})", key.help, key.range(), key.source), 6, super::WIDTH);

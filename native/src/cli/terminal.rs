@@ -48,9 +48,9 @@ impl Terminal {
         }
     }
 
-    /// Text in a colour (an SGR code: 1 bold, 31 red, 32 green, 2 faint).
+    /// Text in a colour (an SGR code: 0 none, 1 bold, 31 red, 32 green, 2 faint).
     pub fn paint(&self, code: u8, text: impl Display) -> String {
-        if self.color { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() }
+        if self.color && code > 0 { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() }
     }
 }
 

@@ -6,20 +6,21 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::Summary;
-use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, expected_forecasts, shell_word};
+use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, check_forecasts, expected_forecasts, shell_word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset, Scheme};
 use mcvl_core::record::{Arm, Verdict};
 use mcvl_core::run::{Budget, Status};
+use serde_json::json;
 
 use super::session::{Ended, Pace, Session, stop_on_signals};
 use super::settings::{self, Given, Request, Resolved};
-use super::terminal::Terminal;
-use super::{Done, usage};
+use super::terminal::{Terminal, wrap};
+use super::{Done, WIDTH, usage};
 
 /// Arguments of `mcvl train`.
 #[derive(Args)]
-#[command(after_help = format!("{EXAMPLES}\n\nSee `mcvl train --help` for every setting."))]
+#[command(after_help = format!("{EXAMPLES}\n\n{STOPPING}\n\nSee `mcvl train --help` for every setting."))]
 #[command(after_long_help = after_long_help())]
 pub struct TrainArgs {
     /// Environment; `mcvl envs` lists them
@@ -71,7 +72,7 @@ pub struct TrainArgs {
     /// Exit with 1 unless every claim about the trained learners holds
     #[arg(long)]
     assert_claims: bool,
-    /// Print the summary as JSON
+    /// Print the summary as JSON; with --dry-run the settings and the cost
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -87,9 +88,14 @@ Examples:
   mcvl train tomato-watering --seeds 0..100 --backend gpu
                                               a hundred seeds' forecasts together on a graphics card";
 
+const STOPPING: &str = "\
+Ctrl-C stops with the state saved and exits with 130. A second one exits with
+130 at once and saves nothing more: --resume goes on from the last state that
+--checkpoint-every saved.";
+
 fn after_long_help() -> String {
     let precedence = "Precedence: defaults < preset < --quick < --config < environment < flags.";
-    format!("{EXAMPLES}\n\n{precedence}\n\n{}", settings::list())
+    format!("{EXAMPLES}\n\n{STOPPING}\n\n{precedence}\n\n{}", settings::list())
 }
 
 /// Trains.
@@ -183,14 +189,14 @@ impl TrainArgs {
 
     /// The directory to begin in, if there is one for a new run.
     fn place(&self, run: RunDir) -> anyhow::Result<RunDir> {
-        if run.is_free()? || self.overwrite && run.exists() {
+        if run.is_free()? || self.overwrite && run.is_begun()? {
             return Ok(run);
         }
         if self.fresh {
             return Ok(run.next_free()?);
         }
         let (path, fresh) = (run.path().display(), run.next_free()?);
-        if !run.exists() {
+        if !run.is_begun()? {
             usage!("{path} is not empty and holds no run: choose another directory with -o");
         }
         let finished = Manifest::read(&run).is_ok_and(|manifest| manifest.state == State::Finished);
@@ -217,6 +223,9 @@ fn print(plan: &Plan, set: &RunSet, summary: &Summary, terminal: &mut Terminal) 
     writeln!(terminal.out, "{}", summary.text().trim_end())?;
     if plan.settings.iter().any(|(_, setting)| setting.from.0 == settings::QUICK_ORIGIN) {
         writeln!(terminal.out, "\nA quick run: fewer steps and shorter forecasts than the paper's setting.")?;
+    }
+    if terminal.quiet {
+        return Ok(());
     }
     // The first refused hack of the lowest seed shows best what a check is.
     let checks = set.seeds.first().map_or(&[][..], |seed| &seed.checks);
@@ -267,30 +276,81 @@ fn same_settings(
 
 /// Shows what a run would be.
 fn dry_run(arguments: &TrainArgs, plan: &Plan, terminal: &mut Terminal) -> anyhow::Result<Done> {
-    let config = &plan.config;
-    let (safe, full) = (u64::from(config.safe_steps), u64::from(config.full_steps));
-    let seeds = plan.seeds.len() as u64;
-    let updates = seeds * (safe + full * plan.learners.len() as u64);
-    write!(terminal.out, "{}", plan.to_toml())?;
-    writeln!(terminal.out, "\n# Expected cost: {} per seed ({seeds} in all).", config.experiment().cost)?;
-    writeln!(terminal.out, "# At most {updates} updates of the live learners.")?;
-    if plan.learners.contains(&Learner::Mc) {
-        let check = 2 * u64::from(config.forecast);
-        writeln!(terminal.out, "# Each check: at most {check} updates in its two forecasts.")?;
+    let speed = Speed::measure(&plan.config);
+    let cost = Cost::of(plan, &speed, arguments.pace.threads());
+    if arguments.json {
+        let settings = plan.settings.iter().map(|(key, setting)| (key.clone(), json!(setting)));
+        let value = json!({
+            "config": plan.config.to_string(),
+            "seeds": plan.seeds,
+            "learners": plan.learners,
+            "settings": settings.collect::<serde_json::Map<_, _>>(),
+            "updates": cost.live,
+            "forecast_updates_per_check": cost.check,
+            "live_updates_per_second": speed.live,
+            "forecast_updates_per_second": speed.forecast,
+            "seconds": cost.seconds,
+        });
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&value)?)?;
+        return Ok(Done::Well);
     }
-    let speed = Speed::measure(config);
-    let Speed { live, forecast } = speed;
-    writeln!(
-        terminal.out,
-        "# Here: about {live:.0} updates/s of a live learner, {forecast:.0} in forecasts (one core)."
-    )?;
-    let time = rough(speed.wall(plan, plan.seeds.len(), arguments.pace.threads()));
-    let rate = 100.0 * config.experiment().check_rate;
-    writeln!(
-        terminal.out,
-        "# About {time}, if checks are as frequent as at the paper's setting ({rate:.0} % of steps)."
-    )?;
+    writeln!(terminal.out, "{}", plan.to_toml())?;
+    for sentence in cost.sentences(plan, &speed) {
+        for line in wrap(&sentence, 0, WIDTH - 2).lines() {
+            writeln!(terminal.out, "# {line}")?;
+        }
+    }
     Ok(Done::Well)
+}
+
+/// What a run is expected to cost.
+struct Cost {
+    /// Updates of the live learners of all seeds, at most.
+    live: u64,
+    /// Updates in the forecasts of one check, at most; none where nobody checks.
+    check: Option<u64>,
+    /// Time.
+    seconds: f64,
+}
+
+impl Cost {
+    fn of(plan: &Plan, speed: &Speed, threads: usize) -> Self {
+        let (config, seeds) = (&plan.config, plan.seeds.len());
+        let (safe, full) = (u64::from(config.safe_steps), u64::from(config.full_steps));
+        let checks = plan.learners.contains(&Learner::Mc) && config.scheme != Scheme::None;
+        Self {
+            live: seeds as u64 * (safe + full * plan.learners.len() as u64),
+            check: checks.then(|| check_forecasts(config)),
+            seconds: speed.wall(plan, seeds, threads),
+        }
+    }
+
+    /// In words, for people.
+    fn sentences(&self, plan: &Plan, speed: &Speed) -> Vec<String> {
+        let (config, Speed { live, forecast }) = (&plan.config, speed);
+        let (scheme, time) = (config.scheme.name(), rough(self.seconds));
+        let mut said = vec![
+            format!("Expected cost: {} per seed ({} in all).", config.experiment().cost, plan.seeds.len()),
+            format!("At most {} updates of the live learners.", self.live),
+        ];
+        let here = format!("Here: about {live:.0} updates/s of a live learner");
+        match self.check {
+            Some(0) => said.push(format!("Checks of the scheme {scheme} make no forecasts.")),
+            Some(check) => said.push(format!("Each check: at most {check} updates in its forecasts.")),
+            None => said.push("Nothing is checked.".to_owned()),
+        }
+        if self.check.is_none_or(|check| check == 0) {
+            said.extend([format!("{here} (one core)."), format!("About {time}.")]);
+            return said;
+        }
+        said.push(format!("{here}, {forecast:.0} in forecasts (one core)."));
+        let rate = 100.0 * config.experiment().check_rate;
+        said.push(match config.scheme {
+            Scheme::All => format!("About {time}: every step is checked."),
+            _ => format!("About {time}, if checks are as frequent as at the paper's setting ({rate:.0} % of steps)."),
+        });
+        said
+    }
 }
 
 /// Gradient updates per second of a configuration on one core of this machine.

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use safetensors::SafeTensors;
 
-use crate::runs::{RunDir, RunsError, SeedRun, run_tape};
+use crate::runs::{Reader, RunsError, SeedRun, run_tape};
 
 pub use csv::csv;
 pub use tensorboard::tensorboard;
@@ -35,7 +35,7 @@ impl File {
 ///
 /// # Errors
 /// If a file of a seed cannot be read, or is not what was written.
-pub fn tapes(run: &RunDir, seeds: &[&SeedRun], wanted: &dyn Fn(u32) -> bool) -> Result<Vec<File>, RunsError> {
+pub fn tapes(run: &Reader, seeds: &[&SeedRun], wanted: &dyn Fn(u32) -> bool) -> Result<Vec<File>, RunsError> {
     let tape = |seed: &&SeedRun| {
         let text = run_tape(run, seed.seed, wanted)?;
         Ok(File::new(format!("seed-{}.json", seed.seed), text))

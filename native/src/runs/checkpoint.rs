@@ -6,7 +6,8 @@
 //! ```
 //! Numbers are little-endian.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read as _;
 use std::path::Path;
 
 use mcvl_core::run::Run;
@@ -88,6 +89,21 @@ impl Checkpoint {
             return Err(RunsError::damaged(path, "its header and its state are of different runs"));
         }
         Ok(Self { finished: header.finished, logs: header.logs, run })
+    }
+
+    /// How far a checkpoint counts the logs, without its state; none where there is none that can be read.
+    pub fn marks(path: &Path) -> Option<LogMarks> {
+        let mut file = File::open(path).ok()?;
+        let mut head = [0; MAGIC.len() + 8];
+        file.read_exact(&mut head).ok()?;
+        let (version, length) = head.strip_prefix(MAGIC)?.split_first_chunk()?;
+        if u32::from_le_bytes(*version) != VERSION {
+            return None;
+        }
+        let length = u32::from_le_bytes(length.try_into().ok()?);
+        let mut header = Vec::new();
+        file.take(length.into()).read_to_end(&mut header).ok()?;
+        serde_json::from_slice::<Header>(&header).ok().map(|header| header.logs)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use mcvl_core::record::Arm;
@@ -15,9 +16,11 @@ pub struct RunDir(PathBuf);
 /// Folder of exports. Nothing vouches for what lies there: it can be made again.
 const EXPORTS: &str = "export";
 
-/// Files that training and reports write at the top of a run directory.
-const OWN_FILES: &[&str] =
-    &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", "report.html", "page.html", ".lock"];
+/// Files that training writes at the top of a run directory.
+const TRAINED: &[&str] = &["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png", ".lock"];
+
+/// Files that reports write there.
+const REPORTED: &[&str] = &["report.html", "page.html"];
 
 impl RunDir {
     /// The directory at `path`, which need not exist.
@@ -70,9 +73,37 @@ impl RunDir {
         SeedDir { path: self.0.join(format!("seed-{seed}")), seed }
     }
 
-    /// Whether a run was begun here.
+    /// The report of this run alone.
+    pub fn report(&self) -> PathBuf {
+        self.0.join("report.html")
+    }
+
+    /// The seed whose ledger lies at `path`.
+    pub fn seed_with_ledger(&self, path: &Path) -> Option<SeedDir> {
+        let seed = seed_of(&path.parent()?.file_name()?.to_string_lossy())?;
+        Some(self.seed(seed)).filter(|dir| dir.ledger() == path)
+    }
+
+    /// Whether a run is seen to be begun here.
     pub fn exists(&self) -> bool {
         self.plan().exists()
+    }
+
+    /// Whether a run was begun here.
+    ///
+    /// # Errors
+    /// If the machine does not tell, for want of rights or for another reason.
+    pub fn is_begun(&self) -> Result<bool, RunsError> {
+        is_there(&self.plan())
+    }
+
+    /// Whether the folder of any seed is here.
+    ///
+    /// # Errors
+    /// If the folder cannot be read.
+    pub fn has_seeds(&self) -> Result<bool, RunsError> {
+        let mut entries = fs::read_dir(&self.0).map_err(RunsError::io("read the folder", &self.0))?;
+        Ok(entries.any(|entry| entry.is_ok_and(|entry| seed_of(&entry.file_name().to_string_lossy()).is_some())))
     }
 
     /// Whether nothing is here that would be in the way of a new run.
@@ -117,7 +148,8 @@ impl RunDir {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if seed_of(&name).is_some() || name == EXPORTS {
                 fs::remove_dir_all(&path).map_err(RunsError::io("delete", &path))?;
-            } else if name != ".lock" && (OWN_FILES.contains(&name.as_str()) || is_temporary(&name)) {
+            } else if name != ".lock" && ([TRAINED, REPORTED].concat().contains(&name.as_str()) || is_temporary(&name))
+            {
                 fs::remove_file(&path).map_err(RunsError::io("delete", &path))?;
             }
         }
@@ -136,6 +168,42 @@ pub fn is_temporary(name: &str) -> bool {
 /// The folder in which a path lies: that of a bare name is the current one.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Whether something is there. A path through a file leads nowhere.
+///
+/// # Errors
+/// If the machine does not tell, for want of rights or for another reason.
+pub fn is_there(path: &Path) -> Result<bool, RunsError> {
+    match fs::exists(path) {
+        Err(error) if error.kind() == ErrorKind::NotADirectory => Ok(false),
+        other => other.map_err(RunsError::io("look for", path)),
+    }
+}
+
+/// Fails where `path` names a file of a run that training writes: its logs, states and settings are made by nothing
+/// else.
+///
+/// # Errors
+/// If it does.
+pub fn check_target(path: &Path) -> Result<(), RunsError> {
+    // Whatever links lead there.
+    let folder = fs::canonicalize(folder_of(path)).unwrap_or_else(|_| folder_of(path).to_owned());
+    let plain = || folder.join(path.file_name().unwrap_or_default());
+    let target = fs::canonicalize(path).unwrap_or_else(|_| plain());
+    let belongs = |run: &&Path| {
+        let first = target.strip_prefix(run).ok().and_then(|inside| inside.iter().next()).unwrap_or_default();
+        let first = first.to_string_lossy();
+        RunDir::new(*run).exists() && (seed_of(&first).is_some() || TRAINED.contains(&&*first))
+    };
+    match target.ancestors().skip(1).find(belongs) {
+        Some(run) => Err(RunsError::Request(format!(
+            "{} is a place of the files that training wrote in {}: name another file",
+            path.display(),
+            run.display()
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// A path as one word of a command that is shown to be copied.
@@ -233,14 +301,14 @@ impl Place {
     /// If there is none.
     pub fn find(path: &Path) -> Result<Self, RunsError> {
         let run = RunDir::new(path);
-        if run.exists() {
+        if run.is_begun()? {
             return Ok(Self { run, seed: None });
         }
         let seed = path.file_name().and_then(|name| seed_of(&name.to_string_lossy()));
-        let parent = RunDir::new(path.parent().unwrap_or(Path::new("")));
+        let parent = RunDir::new(folder_of(path));
         match seed {
-            Some(seed) if parent.exists() => Ok(Self { run: parent, seed: Some(seed) }),
-            _ if path.exists() => Err(RunsError::Request(format!(
+            Some(seed) if parent.is_begun()? => Ok(Self { run: parent, seed: Some(seed) }),
+            _ if is_there(path)? => Err(RunsError::Request(format!(
                 "{} is no run directory: it has no run.toml (a run is made by `mcvl train`)",
                 path.display()
             ))),

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 use std::{env, thread};
@@ -10,12 +11,15 @@ use serde::{Deserialize, Serialize};
 use sha2::Digest as _;
 
 use super::chain::{hex, sha256, sha256_of};
-use super::layout::is_temporary;
+use super::layout::{is_temporary, is_there};
 use super::write::write_atomic;
 use super::{RunDir, RunsError, SeedDir};
 
 /// Version of the format.
 const FORMAT: u32 = 1;
+
+/// What is wrong with a file whose digest is another one.
+pub const ALTERED: &str = "altered: its digest is not the one in manifest.json";
 
 /// How a run stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,14 +59,15 @@ impl FileDigest {
     /// # Errors
     /// If it is there and cannot be read.
     pub fn mismatch(&self, path: &Path) -> Result<Option<String>, RunsError> {
-        if !path.exists() {
+        if !is_there(path)? {
             return Ok(Some("missing".to_owned()));
         }
         let found = Self::of(path)?;
         Ok(if found.bytes < self.bytes {
-            Some(format!("cut off: {} bytes of {}", found.bytes, self.bytes))
+            // The digest of the whole does not tell whether this is its beginning.
+            Some(format!("cut off or altered: {} bytes of {}", found.bytes, self.bytes))
         } else if found != *self {
-            Some("altered: its digest is not the one in manifest.json".to_owned())
+            Some(ALTERED.to_owned())
         } else {
             None
         })
@@ -197,21 +202,38 @@ impl Manifest {
 
     /// Whether it knows a seed as finished.
     pub fn knows(&self, run: &RunDir, seed: &SeedDir) -> bool {
-        self.files.contains_key(&name(run, &seed.metrics()))
+        self.digest(run, &seed.metrics()).is_some()
     }
 
-    /// Compares the logs that results are read from with their digests, where the seed is finished.
+    /// Reads the manifest that a run is relied on by; none where the run was killed between its first two files, when
+    /// nothing was trained yet.
     ///
     /// # Errors
-    /// If one is missing, cut off, altered or cannot be read.
-    pub fn check_logs(&self, run: &RunDir, seed: &SeedDir) -> Result<(), RunsError> {
-        for path in [seed.metrics(), seed.ledger()] {
-            let Some(expected) = self.files.get(&name(run, &path)) else { continue };
-            if let Some(what) = expected.mismatch(&path)? {
-                return Err(RunsError::damaged(&path, format!("{what}; put it back, or train the run anew")));
-            }
+    /// As [`read_intact`](Self::read_intact).
+    pub fn of_run(run: &RunDir) -> Result<Option<Self>, RunsError> {
+        match Self::read_intact(run) {
+            Err(RunsError::Io { source, .. }) if source.kind() == ErrorKind::NotFound && !run.has_seeds()? => Ok(None),
+            other => other.map(Some),
         }
-        Ok(())
+    }
+
+    /// Compares run.toml with its digest.
+    ///
+    /// # Errors
+    /// If it was altered since the run began, or cannot be read.
+    pub fn check_plan(&self, run: &RunDir) -> Result<(), RunsError> {
+        match self.files.get("run.toml") {
+            Some(expected) if *expected != FileDigest::of(&run.plan())? => {
+                let why = "was altered since the run began: its digest is not the one in manifest.json";
+                Err(RunsError::damaged(&run.plan(), why))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The digest of a file, where the manifest knows it.
+    pub fn digest(&self, run: &RunDir, path: &Path) -> Option<&FileDigest> {
+        self.files.get(&name(run, path))
     }
 
     /// Whether the manifest is as it was written.

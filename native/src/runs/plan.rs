@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use mcvl_core::config::{Config, KEYS, Learner, Preset, Scheme};
+use mcvl_core::config::{Against, Config, KEYS, Learner, Preset, Scheme};
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
@@ -58,14 +58,20 @@ struct File {
 /// steps that its world has had checked so far. Unmodified futures are hardly ever reused: a refusal resets
 /// the world, and the next step is most often learned from.
 pub fn expected_forecasts(config: &Config) -> f64 {
-    let checked = match config.scheme {
-        Scheme::All => 1.0,
-        Scheme::ByReward | Scheme::Punish | Scheme::StorePredicted => config.experiment().check_rate,
-        // These forecast nothing.
-        Scheme::Discard | Scheme::EachStep | Scheme::None => 0.0,
+    let checked = if config.scheme == Scheme::All { 1.0 } else { config.experiment().check_rate };
+    checked * check_forecasts(config) as f64
+}
+
+/// Gradient updates in the forecasts of one check, at most.
+pub fn check_forecasts(config: &Config) -> u64 {
+    let futures = match config.scheme {
+        Scheme::Discard | Scheme::EachStep | Scheme::None => return 0,
+        // The current policy is there already.
+        _ if config.against == Against::Current => 1,
+        _ => 2,
     };
-    let practice = if config.practice { f64::from(config.practice_reward_updates) } else { 0.0 };
-    checked * 2.0 * (f64::from(config.forecast) + practice)
+    let practice = if config.practice { config.practice_reward_updates } else { 0 };
+    futures * (u64::from(config.forecast) + u64::from(practice))
 }
 
 /// The command that trains these learners of the Full world on these seeds.
@@ -100,8 +106,8 @@ impl Plan {
         let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
         let list = |items: Vec<String>| format!("[{}]", items.join(", "));
         let mut text = String::from(
-            "# A run of mcvl: every setting and where its value came from. `mcvl train --resume` and\n\
-             # `mcvl verify` read this file; `config` alone brings the run back.\n",
+            "# A run of mcvl: every setting and where its value came from. `config` alone\n\
+             # brings the run back; `mcvl train --resume` and `mcvl verify` read this file.\n",
         );
         let mut line = |key: &str, value: String| writeln!(text, "{key} = {value}").expect("a string takes everything");
         line("config", quoted(&self.config.to_string()));
@@ -208,6 +214,16 @@ mod tests {
             .collect();
         let learners = vec![Learner::Baseline, Learner::Mc];
         Plan { config, seeds: vec![u64::MAX - 1, u64::MAX], learners, settings }
+    }
+
+    #[test]
+    fn forecasts_are_counted_as_the_scheme_makes_them() {
+        let count =
+            |settings: &str| check_forecasts(&format!("env=box-moving forecast=100 {settings}").parse().unwrap());
+        assert_eq!((count(""), count("scheme=all"), count("scheme=punish")), (200, 200, 200));
+        assert_eq!((count("scheme=discard"), count("scheme=each-step"), count("scheme=none")), (0, 0, 0));
+        assert_eq!(count("against=current"), 100, "the current policy is not trained");
+        assert_eq!(count("practice=true practice_reward_updates=7"), 214);
     }
 
     #[test]

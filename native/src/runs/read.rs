@@ -1,36 +1,23 @@
 //! Reading run directories back.
 
 use std::fs::{self, File};
-use std::io::{BufRead as _, BufReader, ErrorKind};
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 
 use mcvl_core::config::Learner;
 use mcvl_core::record::{CheckRecord, Event};
 
-use super::chain::{Chain, LedgerLine};
-use super::{FileDigest, Manifest, Place, Plan, RunDir, RunSet, RunsError, SeedDir, SeedRun};
+use super::chain::{Chain, LedgerLine, sha256};
+use super::manifest::ALTERED;
+use super::{FileDigest, Plan, Reader, RunDir, RunSet, RunsError, SeedDir, SeedRun};
 
 impl RunSet {
-    /// Reads the run that `path` names: a run directory, or the folder of one seed in it. What an
-    /// unfinished run has so far is read as it is.
+    /// Reads the run that `path` names: a run directory, or the folder of one seed in it.
     ///
     /// # Errors
-    /// If there is no run, only its summary was kept, or a file of it is damaged.
+    /// As [`Reader::open`] and [`Reader::set`].
     pub fn read(path: &Path) -> Result<Self, RunsError> {
-        let place = Place::find(path)?;
-        let plan = Plan::of_logs(&place.run)?;
-        let wanted = plan.seeds.iter().filter(|seed| place.seed.is_none_or(|only| only == **seed));
-        // A run that was killed at its very beginning has no manifest yet.
-        let manifest = place.run.manifest().exists().then(|| Manifest::read(&place.run)).transpose()?;
-        let finished = |dir: &SeedDir| manifest.as_ref().is_some_and(|manifest| manifest.knows(&place.run, dir));
-        let folders = wanted.map(|seed| place.run.seed(*seed)).filter(|dir| dir.path().exists() || finished(dir));
-        // A part of a finished log would read like that of a seed under way.
-        let read = |dir: SeedDir| {
-            manifest.iter().try_for_each(|manifest| manifest.check_logs(&place.run, &dir))?;
-            SeedRun::read(&dir, &plan)
-        };
-        let seeds = folders.map(read).collect::<Result<_, _>>()?;
-        Ok(Self { path: path.to_owned(), config: plan.config, seeds })
+        Reader::open(path)?.set()
     }
 }
 
@@ -40,11 +27,11 @@ impl SeedRun {
         RunDir::new(self.path.parent().unwrap_or(Path::new(""))).seed(self.seed)
     }
 
-    /// Reads one seed.
+    /// Reads one seed, whatever vouches for its files.
     ///
     /// # Errors
     /// If a file is damaged or missing.
-    pub fn read(dir: &SeedDir, plan: &Plan) -> Result<Self, RunsError> {
+    pub(super) fn read(dir: &SeedDir, plan: &Plan) -> Result<Self, RunsError> {
         let mut seed = Self {
             seed: dir.seed(),
             path: dir.path().to_owned(),
@@ -84,19 +71,14 @@ pub fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
     let mut reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?);
     let mut lines = Vec::new();
     loop {
-        let mut line = String::new();
-        match reader.read_line(&mut line) {
-            Ok(0) => return Ok(lines),
-            Ok(_) if line.ends_with('\n') => {
-                line.pop();
-                lines.push(line);
-            }
-            Ok(_) => return Ok(lines),
-            Err(error) if error.kind() == ErrorKind::InvalidData => {
-                return Err(RunsError::damaged(path, format!("line {} is no text", lines.len() + 1)));
-            }
-            Err(source) => return Err(RunsError::io("read", path)(source)),
+        let mut line = Vec::new();
+        reader.read_until(b'\n', &mut line).map_err(RunsError::io("read", path))?;
+        if line.pop() != Some(b'\n') {
+            return Ok(lines);
         }
+        let no_text = |_| RunsError::damaged(path, format!("line {} is no text", lines.len() + 1));
+        let line = String::from_utf8(line).map_err(no_text)?;
+        lines.push(line);
     }
 }
 
@@ -113,13 +95,16 @@ pub fn ledger(dir: &SeedDir) -> Result<Vec<LedgerLine>, RunsError> {
     lines(&path)?.iter().enumerate().map(parse).collect()
 }
 
-/// A check with its films.
+/// A check with its films, which the line of the ledger vouches for.
 ///
 /// # Errors
-/// If there is no such check, or its tape is damaged.
-pub fn tape(dir: &SeedDir, number: u32) -> Result<CheckRecord, RunsError> {
+/// If there is no such check, or its tape is not what was written.
+pub fn tape(dir: &SeedDir, number: u32, line: &LedgerLine) -> Result<CheckRecord, RunsError> {
     let path = dir.tape(number);
     let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
+    if sha256(&text) != line.tape {
+        return Err(altered_tape(&path));
+    }
     serde_json::from_slice(&text).map_err(|error| RunsError::damaged(&path, format!("is no tape: {error}")))
 }
 
@@ -129,11 +114,28 @@ pub fn tape(dir: &SeedDir, number: u32) -> Result<CheckRecord, RunsError> {
 /// If it cannot be read or was altered.
 pub fn check_tape(dir: &SeedDir, number: u32, line: &LedgerLine) -> Result<(), RunsError> {
     let path = dir.tape(number);
-    if FileDigest::of(&path)?.sha256 == line.tape {
-        Ok(())
-    } else {
-        Err(RunsError::damaged(&path, "was altered: its digest is not the one in ledger.jsonl"))
-    }
+    if FileDigest::of(&path)?.sha256 == line.tape { Ok(()) } else { Err(altered_tape(&path)) }
+}
+
+fn altered_tape(path: &Path) -> RunsError {
+    RunsError::damaged(path, "was altered: its digest is not the one in ledger.jsonl")
+}
+
+/// What is wrong with a ledger that should have a digest, in words; none where it has. Its chain tells what was cut off
+/// from what was altered.
+///
+/// # Errors
+/// If it is there and cannot be read.
+pub fn ledger_mismatch(expected: &FileDigest, plan: &Plan, dir: &SeedDir) -> Result<Option<String>, RunsError> {
+    let path = dir.ledger();
+    let Some(what) = expected.mismatch(&path)? else { return Ok(None) };
+    let length = path.metadata().map_or(0, |file| file.len());
+    Ok(Some(match ledger(dir).map(|lines| check_chain(plan, dir, &lines)) {
+        Ok(Ok(_)) if length < expected.bytes => format!("cut off: {length} bytes of {}", expected.bytes),
+        Ok(Err(line)) => format!("{ALTERED}, and its chain breaks at line {line}"),
+        Err(RunsError::Damaged { why, .. }) => format!("{ALTERED}, and {why}"),
+        _ => what,
+    }))
 }
 
 /// The number of the first line of a ledger, from 1, that breaks its chain; how many lines there are

@@ -8,7 +8,8 @@ use mcvl_core::record::{Arm, EvaluationRecord, StartRecord};
 use serde::Serialize;
 use serde_json::value::RawValue;
 
-use super::{Plan, RunDir, RunsError, SeedRun, check_tape, ledger};
+use super::read::check_tape;
+use super::{Reader, RunsError};
 use crate::worlds;
 
 /// First field of every tape.
@@ -39,13 +40,14 @@ struct Tape<'a> {
 ///
 /// # Errors
 /// If a file of the seed cannot be read, or is not what was written.
-pub fn run_tape(run: &RunDir, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result<String, RunsError> {
-    let plan = Plan::of_logs(run)?;
-    let dir = run.seed(seed);
-    let read = SeedRun::read(&dir, &plan)?;
+pub fn run_tape(run: &Reader, seed: u64, wanted: &dyn Fn(u32) -> bool) -> Result<String, RunsError> {
+    let (plan, dir) = (run.plan(), run.run().seed(seed));
+    // The ledger first: of a run under way, the checks are then at least those of its lines.
+    let ledger = run.ledger(&dir)?;
+    let read = run.seed(&dir)?;
     let config = plan.config.with_seed(seed).with_agent(Learner::Mc);
     let mut checks = Vec::new();
-    for (number, line) in (1..).zip(ledger(&dir)?) {
+    for (number, line) in (1..).zip(ledger) {
         if !wanted(number) {
             continue;
         }

@@ -1,11 +1,12 @@
 //! Whether a run directory is what training wrote.
 
-use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::checkpoint::Checkpoint;
 use super::job::MISSING_STATE;
-use super::manifest::{self, FileDigest, Manifest, State};
+use super::layout::is_there;
+use super::manifest::{self, Manifest, State};
 use super::write::check_logs;
 use super::{Plan, RunDir, RunsError, SeedDir, read};
 
@@ -37,6 +38,14 @@ impl Verification {
     fn find(&mut self, run: &RunDir, path: &Path, what: impl Into<String>) {
         self.findings.push(Finding { file: manifest::name(run, path), what: what.into() });
     }
+
+    /// Of a file of which its digest says the same already, nothing is said again.
+    fn find_once(&mut self, run: &RunDir, path: &Path, what: String) {
+        let name = manifest::name(run, path);
+        if !self.findings.iter().any(|finding| finding.file == name) {
+            self.find(run, path, what);
+        }
+    }
 }
 
 /// Compares a run directory with its manifest, its ledgers with their chains, and what is unfinished
@@ -51,17 +60,24 @@ pub fn verify(run: &RunDir) -> Result<Verification, RunsError> {
     if !manifest.is_intact() {
         seen.find(run, &run.manifest(), "altered: its seal does not fit");
     }
+    let plan = Plan::read(run).ok();
     for (name, expected) in &manifest.files {
-        compare(run, &run.path().join(name), expected, &mut seen)?;
+        seen.files += 1;
+        let path = run.path().join(name);
+        let what = match plan.as_ref().and_then(|plan| Some((plan, run.seed_with_ledger(&path)?))) {
+            Some((plan, dir)) => read::ledger_mismatch(expected, plan, &dir)?,
+            None => expected.mismatch(&path)?,
+        };
+        what.into_iter().for_each(|what| seen.find(run, &path, what));
     }
     // A run.toml that cannot be read was found by its digest already; without it there is no chain.
-    let Ok(plan) = Plan::read(run) else { return Ok(seen) };
+    let Some(plan) = plan else { return Ok(seen) };
     for dir in plan.seeds.iter().map(|seed| run.seed(*seed)) {
         let known = manifest.knows(run, &dir);
         if known {
-            chain(run, &plan, &dir, &mut seen);
+            chain(run, &plan, &dir, &mut seen)?;
         } else if dir.path().exists() {
-            unfinished(run, &plan, &dir, &mut seen);
+            unfinished(run, &plan, &dir, &mut seen)?;
         }
         if known && dir.path().exists() {
             let mut there: Vec<PathBuf> = Vec::new();
@@ -76,42 +92,35 @@ pub fn verify(run: &RunDir) -> Result<Verification, RunsError> {
     Ok(seen)
 }
 
-fn compare(run: &RunDir, path: &Path, expected: &FileDigest, seen: &mut Verification) -> Result<(), RunsError> {
-    seen.files += 1;
-    if let Some(what) = expected.mismatch(path)? {
-        seen.find(run, path, what);
-    }
-    Ok(())
-}
-
 /// Follows the chain of a seed's ledger.
-fn chain(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
+fn chain(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) -> Result<(), RunsError> {
     let path = dir.ledger();
     // A missing ledger was found by its digest already.
-    if !path.exists() {
-        return;
+    if !is_there(&path)? {
+        return Ok(());
     }
     match read::ledger(dir) {
         Ok(lines) => match read::check_chain(plan, dir, &lines) {
             Ok(links) => seen.links += links,
             Err(line) => {
                 seen.links += line - 1;
-                seen.find(run, &path, format!("its chain breaks at line {line}"));
+                seen.find_once(run, &path, format!("its chain breaks at line {line}"));
             }
         },
-        Err(RunsError::Damaged { why, .. }) => seen.find(run, &path, why),
-        Err(other) => seen.find(run, &path, other.to_string()),
+        Err(RunsError::Damaged { why, .. }) => seen.find_once(run, &path, why),
+        Err(other) => return Err(other),
     }
+    Ok(())
 }
 
 /// Compares what an unfinished seed has with its checkpoint.
-fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) {
-    chain(run, plan, dir, seen);
-    if fs::exists(dir.state()).is_ok_and(|there| !there) {
+fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification) -> Result<(), RunsError> {
+    chain(run, plan, dir, seen)?;
+    if !is_there(&dir.state())? {
         if dir.has_logs() {
             seen.find(run, &dir.state(), MISSING_STATE);
         }
-        return;
+        return Ok(());
     }
     let checked = Checkpoint::read(&dir.state()).and_then(|checkpoint| {
         check_logs(dir, &checkpoint.logs)?;
@@ -120,6 +129,10 @@ fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification)
     match checked {
         Ok(()) => {}
         Err(RunsError::Damaged { path, why }) => seen.find(run, &path, why),
-        Err(other) => seen.find(run, &dir.state(), other.to_string()),
+        Err(RunsError::Io { path, source, .. }) if source.kind() == ErrorKind::NotFound => {
+            seen.find(run, &path, "missing");
+        }
+        Err(other) => return Err(other),
     }
+    Ok(())
 }

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Config;
-use mcvl_core::env::EpisodeEnd;
+use mcvl_core::env::{ActionSpec, EpisodeEnd};
 use mcvl_core::record::{CheckRecord, Event, Recorder, StepRecord};
 use mcvl_core::run::Run;
 use sha2::{Digest as _, Sha256};
@@ -117,7 +117,7 @@ impl Log {
 }
 
 /// Compares the beginning of a log with its mark; gives the digest to go on with.
-fn check_mark(path: &Path, mark: &Mark) -> Result<Sha256, RunsError> {
+pub fn check_mark(path: &Path, mark: &Mark) -> Result<Sha256, RunsError> {
     let file = File::open(path).map_err(RunsError::io("open", path))?;
     let length = file.metadata().map_err(RunsError::io("read", path))?.len();
     if length < mark.bytes {
@@ -286,7 +286,35 @@ pub fn write_weights(path: &Path, run: &Run) -> Result<(), RunsError> {
     // One entry only: the crate's map has no stable order, and the file is promised byte for byte.
     let about = [("config".to_owned(), run.config().to_string())].into();
     let bytes = safetensors::serialize(views, Some(about)).expect("names of tensors are distinct");
-    write_atomic(path, &bytes)
+    write_atomic(path, &with_entry(&bytes, "layout", layout(&run.spec().actions)))
+}
+
+/// What the numbers mean, for whoever reads them without this program.
+fn layout(actions: &ActionSpec) -> &'static str {
+    match actions {
+        ActionSpec::Discrete(_) => {
+            "Weights are [inputs, outputs]: y = x W + b, with ReLU between layers and none after the last. value: \
+             observation to one value per action. reward: observation, then the action as one-hot, to a reward."
+        }
+        ActionSpec::Continuous { .. } => {
+            "Weights are [inputs, outputs]: y = x W + b, with ReLU between layers and none after the last. actor: \
+             observation to numbers whose tanh, from -1 to 1, spans the range of the action. critic_0, critic_1: \
+             observation, then the action, to its value. reward: observation, then the action, to a reward."
+        }
+    }
+}
+
+/// A file of tensors with one more entry, the first, in what it says of itself.
+fn with_entry(file: &[u8], key: &str, value: &str) -> Vec<u8> {
+    const HEAD: &[u8] = b"{\"__metadata__\":{";
+    let (length, rest) = file.split_first_chunk().expect("a file of tensors begins with the length of its header");
+    let (header, tensors) = rest.split_at(u64::from_le_bytes(*length) as usize);
+    let others = header.strip_prefix(HEAD).expect("the header begins with what the file says of itself");
+    let entry = format!("{}:{},", serde_json::json!(key), serde_json::json!(value));
+    let mut header = [HEAD, entry.as_bytes(), others.trim_ascii_end()].concat();
+    // The tensors stay aligned.
+    header.resize(header.len().next_multiple_of(8), b' ');
+    [&(header.len() as u64).to_le_bytes(), &header[..], tensors].concat()
 }
 
 #[cfg(test)]

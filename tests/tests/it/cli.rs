@@ -151,7 +151,18 @@ fn help_fits_into_80_columns_and_is_complete() {
             assert!(line.chars().count() <= 80, "mcvl {arguments}: {line}");
         }
     }
+    assert!(top.contains("by a second Ctrl-C: at"), "{top}");
+    // What can be played is what has numbered actions.
+    let played = ok(folder.path(), "play --help");
+    for env in json(&ok(folder.path(), "envs --json")).as_array().unwrap() {
+        let name = env["name"].as_str().unwrap();
+        let code = ask(folder.path(), &format!("play {name}")).code;
+        assert_eq!((code == 0, code), (played.contains(name), code), "{name}: {played}");
+    }
     let settings = ok(folder.path(), "train --help");
+    for part in ["A second one exits with", "P the paper, A the", "own a choice of this project"] {
+        assert!(settings.contains(part), "{part} is missing in\n{settings}");
+    }
     for key in KEYS {
         assert!(settings.contains(&format!("\n  {}={}\n", key.name, key.paper)), "{}", key.name);
     }
@@ -265,6 +276,13 @@ fn weights_are_safetensors_of_the_shapes_of_the_networks() {
     assert_eq!((first, shape("value.2.bias"), shape("reward.2.bias")), (vec![11, 128], vec![2], vec![1]));
     let end = header.as_object().unwrap().values().filter_map(|tensor| tensor["data_offsets"][1].as_u64()).max();
     assert_eq!(end, Some((bytes.len() - 8 - length) as u64));
+    let layout = header["__metadata__"]["layout"].as_str().unwrap();
+    for part in ["[inputs, outputs]", "y = x W + b", "ReLU", "reward: observation, then the action as one-hot"] {
+        assert!(layout.contains(part), "{part} is missing in {layout}");
+    }
+    assert_eq!((shape("value.0.weight"), shape("reward.0.weight")), (vec![11, 128], vec![13, 128]));
+    assert_eq!((8 + length) % 8, 0, "tensors are aligned");
+    assert!(ok(folder.path(), "export --help").contains("y = x W + b"));
     let config = header["__metadata__"]["config"].as_str().unwrap();
     assert!(config.starts_with("env=box-moving") && config.contains("forecast=200"), "{config}");
 }
@@ -290,7 +308,12 @@ fn decisions_are_listed_explained_and_re_derived() {
     assert!(text.contains("seed 3: ") && !text.contains("seed 0: "), "{text}");
 
     let explained = ok(folder, "explain run#1");
-    assert!(explained.starts_with("Check 1 of mc"), "{explained}");
+    assert!(explained.starts_with("Seed 0, check 1 of mc"), "the run has two seeds: {explained}");
+    assert!(ok(folder, "explain run/seed-3#1").starts_with("Seed 3, check 1 of mc"));
+    for command in ["explain", "replay"] {
+        let help = ok(folder, &format!("{command} --help"));
+        assert!(help.contains("Of a run with several seeds, RUN#NUMBER is a check of the first one"), "{help}");
+    }
     assert_eq!(explained, ok(folder, "explain run/seed-0#1"));
     assert_ne!(explained, ok(folder, "explain run/seed-3#1"));
     ok(folder, "explain run#1 --svg check.svg");
@@ -336,6 +359,10 @@ fn runs_are_verified_compared_and_reported() {
     let compare = |assertion| ask_all(folder, &["compare", "run", "--assert", assertion]);
     let holds = compare("baseline.return > baseline.performance");
     assert_eq!((holds.code, holds.stdout.contains("holds: baseline.return")), (0, true), "{}", holds.stdout);
+    for assertion in ["-1e-9 < mc.return", "1E+9 >= mc.return", "mc.return > -2.5e3", "- mc.return < .5e1"] {
+        let holds = compare(assertion);
+        assert_eq!(holds.code, 0, "{assertion}: {}{}", holds.stdout, holds.stderr);
+    }
     let fails = compare("mc.performance > 1000");
     assert_eq!((fails.code, fails.stdout.contains("does not hold: mc.performance")), (1, true), "{}", fails.stdout);
 
@@ -490,6 +517,73 @@ fn settings_have_a_precedence_and_an_origin() {
 }
 
 #[test]
+fn a_dry_run_says_what_its_settings_cost() {
+    let folder = scratch();
+    let dry = |arguments: &str| {
+        let said = ok(folder.path(), &format!("train box-moving --quick --dry-run{arguments}"));
+        for line in said.lines().filter(|line| line.starts_with('#')) {
+            assert!(line.chars().count() <= 80, "{line}");
+        }
+        let comments: Vec<&str> = said.lines().filter_map(|line| line.strip_prefix("# ")).collect();
+        comments.join(" ")
+    };
+    let (frequent, each) = ("as frequent as at the paper's setting", "Each check: at most");
+    let usual = dry("");
+    assert!(usual.contains("Each check: at most 400 updates in its forecasts.") && usual.contains(frequent), "{usual}");
+    let all = dry(" --scheme all");
+    assert!(all.contains(": every step is checked.") && all.contains(each) && !all.contains(frequent), "{all}");
+    assert!(dry(" --set against=current").contains("at most 200 updates in its forecasts"));
+    for scheme in ["discard", "each-step"] {
+        let said = dry(&format!(" --scheme {scheme}"));
+        assert!(said.contains(&format!("Checks of the scheme {scheme} make no forecasts.")), "{said}");
+        assert!(!said.contains(frequent) && !said.contains(each) && !said.contains("in forecasts"), "{said}");
+    }
+    for nothing in [" --scheme none", " --agent baseline"] {
+        let said = dry(nothing);
+        assert!(
+            said.contains("Nothing is checked.") && !said.contains(frequent) && !said.contains("forecasts"),
+            "{said}"
+        );
+    }
+    let value = json(&ok(folder.path(), "train box-moving --quick --dry-run --json --seeds 2,4"));
+    assert_eq!(
+        (&value["seeds"], &value["learners"]),
+        (&serde_json::json!([2, 4]), &serde_json::json!(["baseline", "mc"]))
+    );
+    let (updates, check) = (value["updates"].as_u64(), value["forecast_updates_per_check"].as_u64());
+    assert_eq!((updates, check), (Some(2 * 3 * 300), Some(400)));
+    assert!(value["seconds"].as_f64() > Some(0.0));
+    let setting = serde_json::json!({ "value": "300", "from": "flag --quick" });
+    assert_eq!(value["settings"]["safe_steps"], setting);
+    assert!(!folder.path().join("runs").exists(), "a dry run makes nothing");
+}
+
+#[test]
+fn lists_fit_into_80_columns() {
+    let folder = scratch();
+    let folder = folder.path();
+    // Punished decisions say most.
+    ok(folder, "train box-moving --quick --agent mc --scheme punish -q -o run");
+    let reacher = "exploration=40 batch=32 safe_steps=80 full_steps=40 forecast=8 evaluations=1 evaluation_episodes=1 \
+                   rollouts=1 rollout_steps=2 threshold=0 practice_reward_updates=2";
+    let set: String = reacher.split_whitespace().map(|setting| format!(" --set {setting}")).collect();
+    ok(folder, &format!("train reacher --agent mc -q -o reacher{set}"));
+    for arguments in ["ledger run", "ledger reacher", "doctor"] {
+        let said = ok(folder, arguments);
+        assert!(said.lines().count() > 8, "{said}");
+        for line in said.lines() {
+            assert!(line.chars().count() <= 80, "mcvl {arguments}: {line}");
+        }
+    }
+    // Wrapped, a decision has all its words, each line in its own colour.
+    let first = json(&ok(folder, "ledger run --json"))[0].clone();
+    let said = ok(folder, "ledger run --color always");
+    let plain = ok(folder, "ledger run").split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(plain.contains(&format!("#1 step {}: expected", first["step"])), "{plain}");
+    assert!(said.lines().all(|line| line.matches("\u{1b}[0m").count() == 1), "{said}");
+}
+
+#[test]
 fn directories_are_not_overwritten_by_accident() {
     let folder = finished();
     let run = folder.path().join("run");
@@ -559,6 +653,7 @@ fn progress_goes_to_stderr_and_can_be_silenced() {
     let folder = scratch();
     let quiet = ask(folder.path(), "train box-moving --quick -q -o quiet");
     assert_eq!((quiet.code, quiet.stderr.as_str()), (0, ""));
+    assert!(quiet.stdout.contains("Box Moving") && !quiet.stdout.contains("Next:"), "{}", quiet.stdout);
     let verbose = ask(folder.path(), "train box-moving --quick -v --progress none -o verbose");
     let decisions = verbose.stderr.lines().filter(|line| line.starts_with("seed 0 #")).count();
     assert_eq!(decisions, lines(&folder.path().join("verbose/seed-0/ledger.jsonl")).len());

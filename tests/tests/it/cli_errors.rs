@@ -11,7 +11,7 @@ use crate::cli::{Answer, ask, ask_all, assert_same, content, finished, ok, progr
 
 /// Runs `mcvl`, which has to fail with `code` and say all `parts` on stderr, and change nothing.
 #[track_caller]
-fn check(folder: &Path, arguments: &str, code: i32, parts: &[&str]) {
+pub fn check(folder: &Path, arguments: &str, code: i32, parts: &[&str]) {
     let before = content(folder);
     let answer = ask(folder, arguments);
     assert_eq!(answer.code, code, "mcvl {arguments}\n{}{}", answer.stdout, answer.stderr);
@@ -119,7 +119,8 @@ fn mistakes_about_runs() {
         ("verify none", &["there is no run at none"]),
         ("compare none", &["there is no run at none"]),
         ("compare run --assert mc.performence>1", &["did you mean `mc.performance`?"]),
-        ("compare run --assert 1e5>1", &["at character 2: unexpected `e5`"]),
+        ("compare run --assert 1e>1", &["at character 2: unexpected `e`"]),
+        ("compare run --assert -mc.performence<1", &["did you mean `mc.performance`?"]),
         (&nested, &["at character 301: too long: at most 300 words, numbers and symbols"]),
         ("compare other", &["other is no run directory: it has no run.toml"]),
         ("page --tape later.json", &["is a tape of format version 9, this program shows version 1"]),
@@ -169,6 +170,33 @@ fn places_that_cannot_be_written() {
     }
 }
 
+/// Where the machine does not say whether there is a run, nobody is told that there is none.
+#[test]
+fn a_place_that_cannot_be_looked_into_is_named() {
+    let folder = scratch();
+    let folder = folder.path();
+    // Rights do not stop root; a link to itself stops everybody.
+    let link = folder.join("loop");
+    std::os::unix::fs::symlink("loop", &link).unwrap();
+    for arguments in [
+        "ledger loop",
+        "ledger loop/seed-0",
+        "explain loop#1",
+        "verify loop",
+        "report loop",
+        "train box-moving -o loop --resume",
+    ] {
+        let answer = ask(folder, arguments);
+        assert_eq!(answer.code, 3, "mcvl {arguments}\n{}", answer.stderr);
+        assert!(answer.stderr.contains("cannot look for loop"), "{}", answer.stderr);
+        assert!(answer.stderr.contains("symbolic links"), "{}", answer.stderr);
+    }
+    fs::remove_file(&link).unwrap();
+    fs::write(folder.join("file"), "mine").unwrap();
+    check(folder, "ledger file", 2, &["file is no run directory: it has no run.toml"]);
+    check(folder, "train box-moving -o file/run --resume", 2, &["there is no run in file/run to resume"]);
+}
+
 /// A write that fails in the middle, as on a full disk: files may not grow beyond some length.
 #[test]
 fn an_output_that_takes_nothing_is_named() {
@@ -200,7 +228,7 @@ fn a_full_disk_loses_nothing() {
 }
 
 /// What can happen to a file.
-enum Damage {
+pub enum Damage {
     Cut(usize),
     Flip(usize),
     Set(usize, u8),
@@ -210,7 +238,7 @@ enum Damage {
 }
 
 impl Damage {
-    fn apply(&self, path: &Path) {
+    pub fn apply(&self, path: &Path) {
         let mut bytes = fs::read(path).unwrap();
         match self {
             Damage::Cut(from_end) => bytes.truncate(bytes.len() - from_end),
@@ -244,10 +272,20 @@ fn verify_names_the_file_that_is_not_as_it_was() {
         answer.stdout + &answer.stderr
     };
     for (name, damage, what) in [
-        ("seed-0/metrics.jsonl", Damage::Cut(1), "cut off"),
+        ("seed-0/metrics.jsonl", Damage::Cut(1), "cut off or altered: "),
         ("seed-0/steps.csv", Damage::Flip(500), "altered"),
-        ("seed-3/ledger.jsonl", Damage::Cut(10), "cut off"),
-        ("seed-3/ledger.jsonl", Damage::Flip(60), "altered"),
+        // The chain tells a beginning from what was altered.
+        ("seed-3/ledger.jsonl", Damage::Cut(10), "cut off: "),
+        (
+            "seed-3/ledger.jsonl",
+            Damage::Flip(60),
+            "altered: its digest is not the one in manifest.json, and its chain breaks at line 1",
+        ),
+        (
+            "seed-3/ledger.jsonl",
+            Damage::Replace("\"number\":2,", "\"number\":,"),
+            "altered: its digest is not the one in manifest.json, and its chain breaks at line 2",
+        ),
         ("seed-3/tapes/check-1.json", Damage::Flip(30), "altered"),
         ("seed-0/checkpoints/state.snapshot", Damage::Flip(1000), "altered"),
         ("seed-0/checkpoints/mc.safetensors", Damage::Remove, "missing"),
@@ -263,7 +301,7 @@ fn verify_names_the_file_that_is_not_as_it_was() {
     let ledger = fs::read_to_string(folder.join("run/seed-0/ledger.jsonl")).unwrap();
     let place = ledger.find("\"number\":2").unwrap() + "\"number\":".len();
     let chain = said(4, "seed-0/ledger.jsonl", &Damage::Set(place, b'5'));
-    assert!(chain.contains("MISMATCH seed-0/ledger.jsonl: its chain breaks at line 2"), "{chain}");
+    assert!(chain.contains("and its chain breaks at line 2"), "{chain}");
     // The manifest vouches for itself; one that cannot be read is a matter of the machine.
     let manifest = fs::read_to_string(folder.join("run/manifest.json")).unwrap();
     let place = manifest.find("\"version\": \"").unwrap() + "\"version\": \"".len();

@@ -6,9 +6,10 @@ use std::io::{self, BufRead, ErrorKind, IsTerminal as _, Write as _};
 
 use clap::Args;
 use mcvl::report::film;
+use mcvl::worlds;
 use mcvl_core::config::{Config, Preset, expected_one_of};
 use mcvl_core::env::{ActionSpec, Discrete, EpisodeEnd, Frame};
-use mcvl_core::experiment::Experiment;
+use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::play::{Play, Score};
 use mcvl_core::record::Arm;
 use serde_json::json;
@@ -19,9 +20,7 @@ use super::{Done, WIDTH, usage};
 /// Name of the Safe world, beside the variants of the Full one.
 const SAFE: &str = "safe";
 
-/// Arguments of `mcvl play`.
-#[derive(Args)]
-#[command(after_help = "\
+const HELP: &str = "\
 Keys: arrows or w a s d act, q ends.
 
 Where stdin is no terminal it is read for actions: words (up down left right)
@@ -31,9 +30,23 @@ Examples:
   mcvl play rocks-and-diamonds
   mcvl play absent-supervisor --variant walls-removed --seed 3
   echo ddd | mcvl play absent-supervisor
-  (echo down; yes down up) | mcvl play box-moving --json")]
+  (echo down; yes down up) | mcvl play box-moving --json";
+
+/// «Environments: ...»: those that can be driven by numbered actions.
+fn playable() -> String {
+    let is_numbered = |experiment: &&Experiment| {
+        let config = Config::new(experiment.name, Preset::Paper).expect("the table has its name");
+        matches!(worlds::spec(&config).actions, ActionSpec::Discrete(_))
+    };
+    let names: Vec<&str> = EXPERIMENTS.iter().filter(is_numbered).map(|experiment| experiment.name).collect();
+    wrap(&format!("Environments: {}.", names.join(", ")), 0, WIDTH)
+}
+
+/// Arguments of `mcvl play`.
+#[derive(Args)]
+#[command(after_help = format!("{}\n\n{HELP}", playable()))]
 pub struct PlayArgs {
-    /// Environment (`mcvl envs` lists them)
+    /// Environment, one with numbered actions (see below)
     env: String,
     /// World: safe, or a variant of the Full world
     #[arg(long, default_value = "full", value_name = "NAME")]

@@ -49,7 +49,8 @@ fn tokens(text: &str) -> Result<Vec<(usize, Token)>, Problem> {
         if first.is_whitespace() {
             at += 1;
         } else if first.is_ascii_digit() || first == '.' {
-            let word = take(|c| c.is_ascii_digit() || c == '.');
+            at = start + number_length(&characters[start..]);
+            let word: String = characters[start..at].iter().collect();
             let number = word.parse().map_err(|_| Problem(start, format!("`{word}` is not a number")))?;
             tokens.push((start, Token::Number(number)));
         } else if first.is_alphabetic() {
@@ -68,6 +69,21 @@ fn tokens(text: &str) -> Result<Vec<(usize, Token)>, Problem> {
         }
     }
     Ok(tokens)
+}
+
+/// How many characters belong to the number at the beginning of a text: `45`, `.5`, `1e-9`.
+fn number_length(text: &[char]) -> usize {
+    let digits = |from: usize| text[from..].iter().take_while(|c| c.is_ascii_digit()).count();
+    let plain = text.iter().take_while(|c| c.is_ascii_digit() || **c == '.').count();
+    let mut exponent = text[plain..].iter().copied();
+    if !exponent.next().is_some_and(|c| c == 'e' || c == 'E') {
+        return plain;
+    }
+    let sign = usize::from(exponent.next().is_some_and(|c| c == '+' || c == '-'));
+    match digits(plain + 1 + sign) {
+        0 => plain,
+        count => plain + 1 + sign + count,
+    }
 }
 
 /// What a parenthesis may turn out to hold.
