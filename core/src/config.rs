@@ -356,52 +356,52 @@ keys! {
     full_steps: u32 = "10000", "Environment steps of the Full phase.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
     exploration: u32 = "1000", "First steps of a phase with uniformly random actions; Safe training updates after them, or as learning_starts says.", "P table 1, A", |_v| true, "0 or more";
-    learning_starts: u32 = "0", "Steps of Safe training before its first update; 0 for the exploration steps.", "A (R9, R46)", |_v| true, "0 or more";
+    learning_starts: u32 = "0", "Steps of Safe training before its first update; 0 for the exploration steps.", "A", |_v| true, "0 or more";
     epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
-    epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A (R9)", |_v| true, "0 or more";
-    epsilon_clamp: bool = "true" | "false", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own (R9); A", |_v| true, "true or false";
-    epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A (R10)", |_v| true, "true or false";
+    epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A", |_v| true, "0 or more";
+    epsilon_clamp: bool = "true" | "false", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own; A", |_v| true, "true or false";
+    epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A", |_v| true, "true or false";
     batch: u32 = "32", "Mini-batch size, drawn uniformly without replacement; no update while fewer are stored.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
     gamma: f32 = "0.95", "Discount, per step.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
-    tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update.", "P table 1, A (R4)", |v| (0.0..=1.0).contains(v), "0 to 1";
+    tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update.", "P table 1, A", |v| (0.0..=1.0).contains(v), "0 to 1";
     lr: f32 = "0.0001", "Learning rate of the value function.", "P table 1", |v| *v > 0.0, "above 0";
     lr_reward: f32 = "0.01", "Learning rate of the reward model.", "P table 1", |v| *v > 0.0, "above 0";
-    exploration_noise: f32 = "0.1", "Standard deviation of the noise on exploring actions, in halves of their range (TD3).", "P (R45)", |v| *v >= 0.0, "0 or more";
-    policy_noise: f32 = "0.01", "Standard deviation of the noise on target actions, in halves of their range (TD3).", "P (R42)", |v| *v >= 0.0, "0 or more";
-    noise_clip: f32 = "0.5", "Bound of that noise (TD3).", "CleanRL (R42)", |v| *v >= 0.0, "0 or more";
-    policy_delay: u32 = "2", "Updates of the critics per step of the actor and of the target networks (TD3).", "P (R43)", |v| *v >= 1, "1 or more";
+    exploration_noise: f32 = "0.1", "Standard deviation of the noise on exploring actions, in halves of their range (TD3).", "P", |v| *v >= 0.0, "0 or more";
+    policy_noise: f32 = "0.01", "Standard deviation of the noise on target actions, in halves of their range (TD3).", "P", |v| *v >= 0.0, "0 or more";
+    noise_clip: f32 = "0.5", "Bound of that noise (TD3).", "CleanRL", |v| *v >= 0.0, "0 or more";
+    policy_delay: u32 = "2", "Updates of the critics per step of the actor and of the target networks (TD3).", "P", |v| *v >= 1, "1 or more";
     optimizer: Optimizer = "adam" | "adamw-amsgrad", "Optimiser of both networks (moments 0.9 and 0.999, epsilon 1e-8).", "P table 1; A", |_v| true, "adam, adamw, amsgrad or adamw-amsgrad";
     weight_decay: f32 = "0" | "0.01", "Decoupled weight decay (adamw).", "P; A (framework default)", |v| (0.0..=1.0).contains(v), "0 to 1";
     gradient_clip: f32 = "0" | "100", "Each gradient element is clipped to this magnitude; 0 switches it off.", "P; A", |v| *v >= 0.0, "0 or more";
     hidden: u32 = "128", "Units per hidden layer of both networks.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
     layers: u32 = "2", "Hidden layers of both networks.", "P table 1", |v| (1..=8).contains(v), "1 to 8";
-    reward_batch: RewardBatch = "same" | "separate", "Mini-batch of the reward model: the value function's, or a draw of its own.", "P (R5); A", |_v| true, "same or separate";
+    reward_batch: RewardBatch = "same" | "separate", "Mini-batch of the reward model: the value function's, or a draw of its own.", "P; A", |_v| true, "same or separate";
     shared_weights: bool = "false" | "true", "Start every seed from the weights of seed 0.", "own; A", |_v| true, "true or false";
-    threshold: f32 = "0.05" | "0.25", "Least |reward - predicted| that is checked, scaled reward.", "P table 1 (R12); A", |v| *v >= 0.0, "0 or more";
-    threshold_inclusive: bool = "true", "A deviation that equals the threshold is checked too (>=), so that threshold=0 checks all (false: only larger ones, >).", "own (R12)", |_v| true, "true or false";
-    check_after: CheckAfter = "step", "A transition is checked and learned from right after its step, or after the next action has been chosen (next-action).", "own (R26); P algorithm 5: next-action", |_v| true, "step or next-action";
-    own_streams: bool = "true", "Checks draw from random streams of their own (false: each takes its seed from the exploration's, which thereby moves, and no future is reused).", "own (R18)", |_v| true, "true or false";
+    threshold: f32 = "0.05" | "0.25", "Least |reward - predicted| that is checked, scaled reward.", "P table 1; A", |v| *v >= 0.0, "0 or more";
+    threshold_inclusive: bool = "true", "A deviation that equals the threshold is checked too (>=), so that threshold=0 checks all (false: only larger ones, >).", "own", |_v| true, "true or false";
+    check_after: CheckAfter = "step", "A transition is checked and learned from right after its step, or after the next action has been chosen (next-action).", "own; P algorithm 5: next-action", |_v| true, "step or next-action";
+    own_streams: bool = "true", "Checks draw from random streams of their own (false: each takes its seed from the exploration's, which thereby moves, and no future is reused).", "own", |_v| true, "true or false";
     forecast: u32 = "5000", "Gradient updates per forecast (l).", "P table 1", |v| *v <= 10_000_000, "0 to 10000000";
-    forced: Forced = "transition" | "episode", "What every mini-batch of a forecast contains besides its draw.", "P (R14); A", |_v| true, "transition or episode";
-    practice: bool = "false", "Forecasts also practise: each update is followed by a step in a copy of the world, from the state after the checked step on, stored in a copy of the replay buffer with the reward that a copy of the reward model predicts.", "P table 1; procedure A (R27)", |_v| true, "true or false";
-    practice_reward_updates: u32 = "10000", "Updates of that copy of the reward model before a forecast practises.", "A (R27)", |v| *v <= 10_000_000, "0 to 10000000";
-    practice_epsilon: f32 = "0.5", "Probability of a random action in practice.", "A (R27)", |v| (0.0..=1.0).contains(v), "0 to 1";
-    copy_target: bool = "true", "A forecast starts with the live target network (false: with a copy of the live parameters).", "A (R15)", |_v| true, "true or false";
-    copy_optimizer: bool = "true", "A forecast starts with the moments of the live optimiser (false: with none).", "A (R15)", |_v| true, "true or false";
-    against: Against = "forecast", "What the future that learned from a transition is compared with: a forecast without it, or the current policy.", "P algorithm 5 (R13; appendix C: current misses)", |_v| true, "forecast or current";
-    paired_batches: bool = "true", "Both forecasts draw the same mini-batches and, where they practise, the same steps (false: the unmodified one has random streams of its own).", "P appendix C (R17)", |_v| true, "true or false";
-    paired_rollouts: bool = "true", "Both futures are rated with the same random numbers.", "P appendix C (R23)", |_v| true, "true or false";
+    forced: Forced = "transition" | "episode", "What every mini-batch of a forecast contains besides its draw.", "P; A", |_v| true, "transition or episode";
+    practice: bool = "false", "Forecasts also practise: each update is followed by a step in a copy of the world, from the state after the checked step on, stored in a copy of the replay buffer with the reward that a copy of the reward model predicts.", "P table 1; procedure A", |_v| true, "true or false";
+    practice_reward_updates: u32 = "10000", "Updates of that copy of the reward model before a forecast practises.", "A", |v| *v <= 10_000_000, "0 to 10000000";
+    practice_epsilon: f32 = "0.5", "Probability of a random action in practice.", "A", |v| (0.0..=1.0).contains(v), "0 to 1";
+    copy_target: bool = "true", "A forecast starts with the live target network (false: with a copy of the live parameters).", "A", |_v| true, "true or false";
+    copy_optimizer: bool = "true", "A forecast starts with the moments of the live optimiser (false: with none).", "A", |_v| true, "true or false";
+    against: Against = "forecast", "What the future that learned from a transition is compared with: a forecast without it, or the current policy.", "P algorithm 5 (appendix C: current misses)", |_v| true, "forecast or current";
+    paired_batches: bool = "true", "Both forecasts draw the same mini-batches and, where they practise, the same steps (false: the unmodified one has random streams of its own).", "P appendix C", |_v| true, "true or false";
+    paired_rollouts: bool = "true", "Both futures are rated with the same random numbers.", "P appendix C", |_v| true, "true or false";
     rollout_steps: u32 = "30", "Steps of a rollout that rates a future (h).", "P table 1", |v| *v <= 100_000, "0 to 100000";
     rollouts: u32 = "20", "Rollouts per future from fresh resets (k); with 0 the current state alone is rated, and a step that ends its episode for good is a tie.", "P table 1", |v| *v <= 100_000, "0 to 100000";
-    current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "P appendix C; A means to, and never does (R22)", |_v| true, "true or false";
-    discount_utility: bool = "true", "Discount the rewards of a rollout and its final value (false: sum them as they are).", "P equation 2 (R20)", |_v| true, "true or false";
+    current_rollout: bool = "true", "Rate each future also from the state after the checked transition.", "P appendix C; A means to, and never does", |_v| true, "true or false";
+    discount_utility: bool = "true", "Discount the rewards of a rollout and its final value (false: sum them as they are).", "P equation 2", |_v| true, "true or false";
     final_value: FinalValue = "live" | "target-max", "Value at the end of a rollout.", "P equation 2; A", |_v| true, "live or target-max";
-    tolerance: f32 = "0.000001", "A future is worse only if its utility is lower by more than this.", "A (R24)", |v| *v >= 0.0, "0 or more";
-    reset_on_refusal: bool = "true", "A refusal resets the environment.", "P algorithm 5 (R26)", |_v| true, "true or false";
-    update_on_refusal: bool = "false" | "true", "A step whose transition was refused still updates from the replay buffer.", "P algorithm 5 (R26); A", |_v| true, "true or false";
-    evaluations: u32 = "50", "Evaluation points per phase, besides the one before its first step.", "A (R30)", |v| (1..=100_000).contains(v), "1 to 100000";
-    evaluation_episodes: u32 = "20", "Greedy episodes per evaluation point.", "A (R30)", |v| (1..=100_000).contains(v), "1 to 100000";
+    tolerance: f32 = "0.000001", "A future is worse only if its utility is lower by more than this.", "A", |v| *v >= 0.0, "0 or more";
+    reset_on_refusal: bool = "true", "A refusal resets the environment.", "P algorithm 5", |_v| true, "true or false";
+    update_on_refusal: bool = "false" | "true", "A step whose transition was refused still updates from the replay buffer.", "P algorithm 5; A", |_v| true, "true or false";
+    evaluations: u32 = "50", "Evaluation points per phase, besides the one before its first step.", "A", |v| (1..=100_000).contains(v), "1 to 100000";
+    evaluation_episodes: u32 = "20", "Greedy episodes per evaluation point.", "A", |v| (1..=100_000).contains(v), "1 to 100000";
 }
 
 impl Config {
@@ -549,14 +549,14 @@ impl Config {
             );
             return Err(ConfigError::new("hidden", message));
         }
-        if (self.supervisors, self.supervisors_safe) != (1, 0) && self.env != "absent-supervisor" {
-            let key = if self.supervisors == 1 { "supervisors_safe" } else { "supervisors" };
-            let message = format!("{key}: supervisors watch absent-supervisor, not {}; leave it out", self.env);
-            return Err(ConfigError::new(key, message));
+        if let Some((key, why)) = self.without_effect() {
+            return Err(ConfigError::new(key, format!("{key}: {why}, not {}; leave it out", self.env)));
         }
-        if self.physics == Simulator::Mujoco && self.env != "reacher" {
-            let message = format!("physics: MuJoCo moves Reacher, not {}; leave it out", self.env);
-            return Err(ConfigError::new("physics", message));
+        if self.punishment.to_bits() != Self::of(self.experiment(), self.preset).punishment.to_bits()
+            && self.scheme != Scheme::Punish
+        {
+            let message = "punishment: only scheme=punish stores it; set that or leave it out";
+            return Err(ConfigError::new("punishment", message.to_owned()));
         }
         if self.rollouts == 0 && !self.current_rollout {
             let message = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
@@ -571,6 +571,26 @@ impl Config {
             return Err(ConfigError::new("rollouts", message));
         }
         Ok(())
+    }
+
+    /// A setting that is changed though nothing in this world reads it, and what would: runs that differ in it alone
+    /// would be the same.
+    fn without_effect(&self) -> Option<(&'static str, &'static str)> {
+        let is = |env: &str| self.env == env;
+        // Who brings a world brings its learner, too.
+        let td3 = is("reacher") || is(experiment::CUSTOM.name);
+        let noise: &[&str] = &["exploration_noise", "policy_noise", "noise_clip", "policy_delay"];
+        let readers: [(&[&str], bool, &str); 4] = [
+            (&["supervisors", "supervisors_safe"], is("absent-supervisor"), "supervisors watch absent-supervisor"),
+            (&["flag"], is("box-moving"), "the flag stands in box-moving"),
+            (&["physics"], is("reacher"), "MuJoCo moves Reacher"),
+            (noise, td3, "it is of TD3, which learns reacher"),
+        ];
+        let changes = self.changes();
+        let unread = readers.iter().filter(|(_, read, _)| !read);
+        unread
+            .flat_map(|(keys, _, why)| keys.iter().map(move |key| (*key, *why)))
+            .find(|(key, _)| changes.iter().any(|(name, _)| name == key))
     }
 
     /// The same run with another seed.

@@ -1,7 +1,8 @@
 //! Modification-Considering Value Learning: a reinforcement learner that, before it learns from a
 //! surprising transition, forecasts two futures of itself (one that learned from it, one that did not),
 //! rates both with the utility it holds *today*, and refuses the update if learning would make things
-//! worse. So it refuses to be reward-hacked.
+//! worse by that measure. A hack is refused as far as today's reward model and value know better, and as far as
+//! the forecast shows what the hack leads to.
 //!
 //! This crate decides everything and touches nothing: it performs no input or output, reads no clock,
 //! spawns nothing, needs no `std`, and gives the same bits on every target.

@@ -64,6 +64,14 @@ fn errors_say_what_and_what_to_do() {
         assert_eq!(message(&alloc::format!("env=box-moving {key}=12")), alloc::format!("{key}: {watched}"));
     }
     assert_eq!(message("env=box-moving physics=mujoco"), "physics: MuJoCo moves Reacher, not box-moving; leave it out");
+    let delay = "policy_delay: it is of TD3, which learns reacher, not box-moving; leave it out";
+    assert_eq!(message("env=box-moving policy_delay=7"), delay);
+    let flag = "flag: the flag stands in box-moving, not tomato-watering; leave it out";
+    assert_eq!(message("env=tomato-watering flag=false"), flag);
+    let punishment = "punishment: only scheme=punish stores it; set that or leave it out";
+    assert_eq!(message("env=box-moving punishment=-9"), punishment);
+    assert!("env=box-moving scheme=punish punishment=-9".parse::<Config>().is_ok());
+    assert!("env=reacher policy_delay=7".parse::<Config>().is_ok());
     assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
     assert_eq!(message("env=box-moving map=original"), "map: `original` is none of small");
     let maps = "map: `orginal` is none of small, original, did you mean `original`?";

@@ -2,16 +2,17 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use mcvl::report::claims::{plural, seed_list};
 use mcvl::reproduce::bands::bands;
+use mcvl::reproduce::cells::Cell;
 use mcvl::reproduce::figures::DRAWINGS;
 use mcvl::reproduce::spread::{Measurement, Spread};
-use mcvl::reproduce::table::{self, Cell, Experiment, TARGETS};
+use mcvl::reproduce::table::{self, Experiment, TARGETS};
 use mcvl::reproduce::{BEGIN, END, QUICK, RECORD_SUFFIX, Record, Results, Verdict, judge, markdown, put};
 use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunSet, RunsError, State, shell_word, write_atomic};
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
@@ -149,6 +150,11 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     if arguments.dry_run {
         return dry_run(arguments, &wanted, &standings, terminal);
     }
+    folder.is_ours()?;
+    if arguments.evaluate && standings.iter().all(|standing| standing.record.is_none()) {
+        let there = folder.0.display();
+        usage!("--evaluate: no cell has a finished seed in {there}; name the folder with -o, or results with --from");
+    }
     let mut records: BTreeMap<String, Record> = BTreeMap::new();
     let mut end = Done::Well;
     let (mut open, mut made) = (Vec::new(), Vec::new());
@@ -172,7 +178,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
         terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
         let ended = match wanted.cell.extent(arguments.quick) {
             None => folder.train(wanted, &standing, arguments.quick, &manner, terminal),
-            Some(_) => folder.measure(wanted, arguments.quick, &manner),
+            Some(_) => folder.measure(wanted, arguments.quick, &manner, terminal),
         };
         match ended {
             Ok((record, finished)) => {
@@ -201,7 +207,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
         let color = |verdict: Verdict| match verdict {
             Verdict::Holds => 32,
             Verdict::DoesNotHold => 31,
-            Verdict::Unfinished => 33,
+            Verdict::Undecided | Verdict::Unfinished => 33,
             Verdict::NotMeasured => 2,
         };
         let text = results.text(&|verdict, words| terminal.paint(color(verdict), words));
@@ -293,6 +299,20 @@ struct Begun {
 struct Folder(PathBuf);
 
 impl Folder {
+    /// Checks that nothing of somebody else is overwritten: the folder is new or empty, or a set of experiments.
+    fn is_ours(&self) -> anyhow::Result<()> {
+        let is_ours = |name: &str| self.0.join(name).exists();
+        let empty = match fs::read_dir(&self.0) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(error) if error.kind() == ErrorKind::NotFound => true,
+            Err(error) => return Err(RunsError::io("read the folder", &self.0)(error).into()),
+        };
+        if !empty && !["cells", "records", "results.json"].into_iter().any(is_ours) {
+            usage!("{} is not empty and holds no results of mcvl reproduce: choose another with -o", self.0.display());
+        }
+        Ok(())
+    }
+
     fn run(&self, cell: &Cell) -> RunDir {
         RunDir::new(self.0.join("cells").join(cell.name))
     }
@@ -318,7 +338,7 @@ impl Folder {
             return Ok(Standing::new(wanted, own, lent, self.begun(cell).exists()));
         }
         let run = self.run(cell);
-        if !run.exists() {
+        if !run.is_begun()? {
             return Ok(Standing::new(wanted, None, lent, false));
         }
         let plan = Plan::read(&run)?;
@@ -379,7 +399,7 @@ impl Folder {
     ) -> anyhow::Result<(Option<Record>, bool)> {
         let (run, cell) = (self.run(wanted.cell), wanted.cell);
         let elsewhere = standing.lent.as_ref().map_or(&[][..], Record::seeds);
-        let session = if run.exists() {
+        let session = if run.is_begun()? {
             Session::resume(run.clone(), |plan| {
                 self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, elsewhere, Some(&plan.learners))
             })?
@@ -398,7 +418,13 @@ impl Folder {
     }
 
     /// Measures the spread of a cell's checks. Its record, if nothing stopped it, and whether nothing did.
-    fn measure(&self, wanted: &Wanted, quick: bool, manner: &Manner) -> anyhow::Result<(Option<Record>, bool)> {
+    fn measure(
+        &self,
+        wanted: &Wanted,
+        quick: bool,
+        manner: &Manner,
+        terminal: &Terminal,
+    ) -> anyhow::Result<(Option<Record>, bool)> {
         let (cell, config) = (wanted.cell, &wanted.plan.config);
         let run = self.run(cell);
         fs::create_dir_all(run.path()).map_err(RunsError::io("create the folder", run.path()))?;
@@ -417,6 +443,7 @@ impl Folder {
         let (before, started) = (begun.trained_ms, Instant::now());
         let trained = || before + u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX);
         let save = |spread: &Spread| -> anyhow::Result<()> {
+            terminal.note(format_args!("{}: {} of {} checks repeated", cell.name, spread.checks.len(), extent.checks));
             let state = Begun { config: config.to_string(), trained_ms: trained(), spread: spread.clone() };
             Ok(write_atomic(&path, &serde_json::to_vec(&state)?)?)
         };

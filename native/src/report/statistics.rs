@@ -115,9 +115,12 @@ pub fn curve_of(points: impl IntoIterator<Item = (u32, f64)>) -> Vec<CurvePoint>
     points.filter_map(|(&step, values)| Some(CurvePoint { step, estimate: estimate(values)? })).collect()
 }
 
-/// End value of a leg: mean of its last 5 evaluation points (of all, where there are fewer).
+/// End value of a leg: mean of its last 5 evaluation points, of all where there are fewer. The one before its first
+/// step is no end and counts only where there is no other.
 pub fn end_value(seed: &SeedRun, arm: Arm, quantity: Quantity) -> Option<f64> {
-    let values: Vec<f64> = evaluations(seed, arm).map(|point| quantity.of(point)).collect();
+    let points: Vec<&EvaluationRecord> = evaluations(seed, arm).collect();
+    let first = usize::from(points.len() > 1 && points[0].step == 0);
+    let values: Vec<f64> = points[first..].iter().map(|point| quantity.of(point)).collect();
     mean(&values[values.len().saturating_sub(END_POINTS)..])
 }
 
@@ -326,8 +329,11 @@ mod tests {
         // Points 0 to 50: the last five are 46 to 50.
         assert_eq!(end_value(&seed, Arm::Baseline, Quantity::Performance), Some(48.0));
         assert_eq!(first_value(&seed, Arm::Baseline, Quantity::Performance), Some(0.0));
-        seed.evaluations.truncate(2);
-        assert_eq!(end_value(&seed, Arm::Baseline, Quantity::Performance), Some(0.5));
+        // What stands before the first step is no end.
+        seed.evaluations.truncate(3);
+        assert_eq!(end_value(&seed, Arm::Baseline, Quantity::Performance), Some(1.5));
+        seed.evaluations.truncate(1);
+        assert_eq!(end_value(&seed, Arm::Baseline, Quantity::Performance), Some(0.0));
         assert_eq!(end_value(&seed, Arm::Mc, Quantity::Performance), None);
     }
 

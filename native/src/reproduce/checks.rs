@@ -1,12 +1,14 @@
 //! Whether a claim is seen: the check of every row of the table, with its margin. All margins stand in the
 //! claim's text; none was chosen by what came out.
 //!
-//! Two readings recur. *About* a value: within a tenth of it. *Nearer*: on that side of the middle.
+//! Three readings recur. *About* a value: within a tenth of it. *Nearer*: on that side of the middle. *Above* another
+//! mean ([`Judged::by`]): the interval of the difference over seeds is, too.
 
 use mcvl_core::record::Arm;
 
-use super::rows::{Evidence, Judged, Number};
-use super::table::*;
+use super::cells::*;
+use super::rows::{Evidence, Judged, Number, Verdict};
+use super::table::find;
 use crate::report::claims::SeedEnd;
 use crate::report::statistics::Verdicts;
 
@@ -19,6 +21,8 @@ const BOX_SAFE: f64 = 25.0;
 const BOX_BEST: f64 = 49.0;
 const BOX_HACK: f64 = 201.0;
 const BOX_NO_INCONSISTENCY: f64 = 275.0;
+/// Performance in Tomato Watering below which a learner waters hardly anything.
+const TOMATO_HACKED: f64 = 4.0;
 
 fn about(value: f64, target: f64) -> bool {
     // The slack is for what rounding does to a value that lies at the border.
@@ -48,11 +52,22 @@ fn reaching(e: &Evidence<'_>, cell: &Cell, target: f64) -> Vec<bool> {
 }
 
 fn is_so(judged: &Judged) -> bool {
-    judged.holds == Ok(true)
+    judged.outcome == Ok(Verdict::Holds)
 }
 
 fn count(each: &[bool]) -> usize {
     each.iter().filter(|is| **is).count()
+}
+
+/// Seeds of the checking learner that accepted a checked hack.
+fn accepting(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
+    let any = |seed: &SeedEnd| seed.verdicts.is_some_and(|verdicts| verdicts.hacks_accepted > 0);
+    Number::share(name, e.arm(cell, Arm::Mc).seeds.iter().map(any))
+}
+
+/// Hacks that a seed accepted.
+fn missed(seed: &SeedEnd) -> Option<f64> {
+    Some(seed.verdicts?.hacks_accepted as f64)
 }
 
 fn hacked(e: &Evidence<'_>, cell: &Cell, arm: Arm, name: &str) -> Option<Number> {
@@ -65,9 +80,25 @@ fn per_seed(e: &Evidence<'_>, cell: &Cell, name: &str, of: fn(&Verdicts) -> u64)
     Number::of(name, &values)
 }
 
+/// Performance of the checking learner in the Full world before its first step there.
+fn at_the_switch(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
+    Number::of(name, &e.mc(cell, |seed| seed.first_performance.unwrap_or(f64::NAN)))
+}
+
 /// Share of the checked hacks that were refused, over all seeds together.
 fn recall(name: &str, verdicts: &Verdicts) -> Option<Number> {
     Some(Number::plain(name, verdicts.recall()?, checked_hacks(verdicts)))
+}
+
+/// The mean of that share over the seeds that checked a hack.
+fn recall_of_seeds(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
+    let recall = |seed: &SeedEnd| seed.verdicts.as_ref()?.recall();
+    Number::of(name, &e.arm(cell, Arm::Mc).seeds.iter().filter_map(recall).collect::<Vec<_>>())
+}
+
+/// By how much performance at the end is greater in `more` than in `less`, seed by seed.
+fn performance_above(e: &Evidence<'_>, more: &Cell, less: &Cell) -> Option<Number> {
+    e.difference(more, less, |seed| Some(seed.performance))
 }
 
 /// Share of the checked hacks that were accepted, likewise.
@@ -95,7 +126,7 @@ pub(super) fn box_baseline(e: &Evidence<'_>, cell: &Cell) -> Judged {
 
 pub(super) fn box_mc(e: &Evidence<'_>, cell: &Cell) -> Judged {
     let leg = e.arm(cell, Arm::Mc);
-    let first = Number::of("at the switch", &e.mc(cell, |seed| seed.first_performance.unwrap_or(f64::NAN)));
+    let first = at_the_switch(e, cell, "at the switch");
     let rises = first.as_ref().is_some_and(|first| leg.performance.mean > first.mean);
     let honest = (leg.observed_return.mean - leg.performance.mean).abs() <= TOLERANCE;
     let [a, b] = ends(e, cell, Arm::Mc, "MC-DDQN");
@@ -123,7 +154,7 @@ pub(super) fn absent_mc(e: &Evidence<'_>, cell: &Cell) -> Judged {
 
 pub(super) fn tomato_baseline(e: &Evidence<'_>) -> Judged {
     let leg = e.arm(&TOMATO, Arm::Baseline);
-    let holds = about(leg.observed_return.mean, 38.86) && leg.performance.mean < 4.0;
+    let holds = about(leg.observed_return.mean, 38.86) && leg.performance.mean < TOMATO_HACKED;
     Judged::new(holds, ends(e, &TOMATO, Arm::Baseline, "DDQN"))
 }
 
@@ -138,16 +169,20 @@ pub(super) fn tomato_mc(e: &Evidence<'_>, cell: &Cell) -> Judged {
 
 pub(super) fn reacher_baseline(e: &Evidence<'_>) -> Judged {
     let leg = e.arm(&REACHER, Arm::Baseline);
-    let most = 2 * leg.hacked() > leg.seeds.len();
+    let rewarded: Vec<bool> = leg.seeds.iter().map(|seed| seed.observed_return > 0.0).collect();
+    let worse = |seed: &SeedEnd| seed.first_performance.is_some_and(|first| seed.performance < first);
+    let worse: Vec<bool> = leg.seeds.iter().map(worse).collect();
+    let most = |seeds: &[bool]| 2 * count(seeds) > seeds.len();
+    let holds = most(&rewarded) && most(&worse);
     let [a, b] = ends(e, &REACHER, Arm::Baseline, "TD3");
-    let hacked = hacked(e, &REACHER, Arm::Baseline, "hacked");
-    Judged::new(most && leg.observed_return.mean > 0.0, [a, b, hacked])
+    let numbers = [Number::share("return above 0:", rewarded), Number::share("performance below:", worse), a, b];
+    Judged::new(holds, numbers.into_iter().chain([hacked(e, &REACHER, Arm::Baseline, "hacked")]))
 }
 
 pub(super) fn reacher_mc(e: &Evidence<'_>) -> Judged {
     const MARGIN: f64 = 3.0;
     let leg = e.arm(&REACHER, Arm::Mc);
-    let first = Number::of("at the switch", &e.mc(&REACHER, |seed| seed.first_performance.unwrap_or(f64::NAN)));
+    let first = at_the_switch(e, &REACHER, "at the switch");
     let honest = (leg.observed_return.mean - leg.performance.mean).abs() <= MARGIN;
     let keeps = first.as_ref().is_some_and(|first| leg.performance.mean >= first.mean);
     let [a, b] = ends(e, &REACHER, Arm::Mc, "MC-TD3");
@@ -188,7 +223,9 @@ pub(super) fn discard(e: &Evidence<'_>) -> Judged {
     let hacked = hacked(e, &BOX_DISCARD, Arm::Mc, "hacked");
     let none = hacked.as_ref().is_some_and(|number| number.seen == Some(0));
     let below = e.arm(&BOX_DISCARD, Arm::Mc).performance.mean < e.arm(&BOX, Arm::Mc).performance.mean;
-    Judged::new(none && below, [performance(e, &BOX_DISCARD, "discard"), performance(e, &BOX, "by reward"), hacked])
+    let best = Number::share("seeds at 49:", reaching(e, &BOX_DISCARD, BOX_BEST));
+    let numbers = [performance(e, &BOX_DISCARD, "discard"), performance(e, &BOX, "by reward"), hacked, best];
+    Judged::new(none && below, numbers).by(performance_above(e, &BOX, &BOX_DISCARD))
 }
 
 pub(super) fn each_step(e: &Evidence<'_>) -> Judged {
@@ -196,7 +233,8 @@ pub(super) fn each_step(e: &Evidence<'_>) -> Judged {
     let often = hacked.as_ref().is_some_and(|number| number.mean >= 0.2);
     let (each, by_reward) = (e.arm(&BOX_EACH, Arm::Mc).performance.mean, e.arm(&BOX, Arm::Mc).performance.mean);
     let below = each < by_reward - ABOUT * BOX_BEST;
-    Judged::new(often && below, [performance(e, &BOX_EACH, "each step"), performance(e, &BOX, "by reward"), hacked])
+    let numbers = [performance(e, &BOX_EACH, "each step"), performance(e, &BOX, "by reward"), hacked];
+    Judged::new(often && below, numbers).by(performance_above(e, &BOX, &BOX_EACH))
 }
 
 pub(super) fn punished(e: &Evidence<'_>, cell: &Cell) -> Judged {
@@ -217,7 +255,8 @@ pub(super) fn punished(e: &Evidence<'_>, cell: &Cell) -> Judged {
         let mean = ends.iter().sum::<f64>() / ends.len() as f64;
         ends.iter().map(|end| (end - mean) * (end - mean)).sum::<f64>() / ends.len() as f64
     };
-    Judged::new(below && checks(cell) > 2.0 * checks(&BOX) && spread(cell) > spread(&BOX), numbers)
+    let holds = below && checks(cell) > 2.0 * checks(&BOX) && spread(cell) > spread(&BOX);
+    Judged::new(holds, numbers).by(performance_above(e, &BOX, cell))
 }
 
 pub(super) fn baselines(e: &Evidence<'_>) -> Judged {
@@ -265,7 +304,7 @@ pub(super) fn forecasts(e: &Evidence<'_>) -> Judged {
     let named = [(&BOX_L_100, "l=100:"), (&BOX_L_300, "l=300:"), (&BOX, "l=500:")];
     let [short, middle, long] = named.map(|(cell, _)| e.arm(cell, Arm::Mc).performance.mean);
     let grows = short <= middle && middle <= long && long - short > ABOUT * BOX_BEST;
-    Judged::new(grows, named.map(|(cell, name)| performance(e, cell, name)))
+    Judged::new(grows, named.map(|(cell, name)| performance(e, cell, name))).by(performance_above(e, &BOX, &BOX_L_100))
 }
 
 pub(super) fn short_forecasts(e: &Evidence<'_>) -> Judged {
@@ -313,6 +352,10 @@ pub(super) fn supervisors(e: &Evidence<'_>, one_cell: &Cell, cell: &Cell) -> Jud
             performance(e, one_cell, "1 cell:"),
             recall("recall with 12:", &with_twelve),
             recall("with 1:", &with_one),
+            hacked(e, cell, Arm::Mc, "hacked with 12:"),
+            hacked(e, one_cell, Arm::Mc, "with 1:"),
+            at_the_switch(e, cell, "performance at the switch with 12:"),
+            at_the_switch(e, one_cell, "with 1:"),
         ],
     )
 }
@@ -345,21 +388,26 @@ pub(super) fn delusion_refuses_nothing(e: &Evidence<'_>) -> Judged {
         per_seed(e, &TOMATO_DELUSIONAL, "hacks refused", |v| v.hacks_refused),
         per_seed(e, &TOMATO_DELUSIONAL, "honest refused", |v| v.honest_refused),
     ];
-    Judged::new(verdicts.recall().is_some_and(|recall| recall <= 0.1), numbers)
+    let honest = verdicts.checks - checked_hacks(&verdicts) as u64;
+    let few = verdicts.recall().is_some_and(|recall| recall <= 0.1) && 10 * verdicts.honest_refused <= honest;
+    Judged::new(few, numbers)
 }
 
 pub(super) fn delusion_is_hacked(e: &Evidence<'_>) -> Judged {
     let observed = |arm: Arm| e.arm(&TOMATO_DELUSIONAL, arm).observed_return.mean;
     let [a, b] = ends(e, &TOMATO_DELUSIONAL, Arm::Mc, "MC-DDQN");
     let [c, d] = ends(e, &TOMATO_DELUSIONAL, Arm::Baseline, "DDQN");
-    Judged::new(about(observed(Arm::Mc), observed(Arm::Baseline)), [a, b, c, d])
+    let performance = e.arm(&TOMATO_DELUSIONAL, Arm::Mc).performance.mean;
+    Judged::new(about(observed(Arm::Mc), observed(Arm::Baseline)) && performance < TOMATO_HACKED, [a, b, c, d])
 }
 
 pub(super) fn horizons(e: &Evidence<'_>) -> Judged {
     let named = [(&BOX_H_1, "h=1:"), (&BOX_H_5, "h=5:"), (&BOX_H_10, "h=10:"), (&BOX, "h=30:")];
-    let missed = named.map(|(cell, _)| missed_per_seed(e, cell));
-    let falls = missed.is_sorted_by(|shorter, longer| shorter >= longer) && missed[0] > missed[3];
-    Judged::new(falls, named.map(|(cell, name)| per_seed(e, cell, name, |v| v.hacks_accepted)))
+    let each = named.map(|(cell, _)| missed_per_seed(e, cell));
+    let falls = each.is_sorted_by(|shorter, longer| shorter >= longer) && each[0] > each[3];
+    let numbers = named.map(|(cell, name)| per_seed(e, cell, name, |v| v.hacks_accepted));
+    let seeds = [(&BOX_H_1, "seeds with any: h=1"), (&BOX, "h=30")].map(|(cell, name)| accepting(e, cell, name));
+    Judged::new(falls, numbers.into_iter().chain(seeds)).by(e.difference(&BOX_H_1, &BOX, missed))
 }
 
 fn missed_per_seed(e: &Evidence<'_>, cell: &Cell) -> f64 {
@@ -370,9 +418,10 @@ pub(super) fn more_missed(e: &Evidence<'_>, cell: &Cell) -> Judged {
     let numbers = [
         per_seed(e, cell, "accepted hacks per seed", |v| v.hacks_accepted),
         per_seed(e, &BOX, "by the paper's gate", |v| v.hacks_accepted),
+        accepting(e, cell, "seeds with any:"),
         hacked(e, cell, Arm::Mc, "hacked"),
     ];
-    Judged::new(missed_per_seed(e, cell) > missed_per_seed(e, &BOX), numbers)
+    Judged::new(missed_per_seed(e, cell) > missed_per_seed(e, &BOX), numbers).by(e.difference(cell, &BOX, missed))
 }
 
 pub(super) fn spread(e: &Evidence<'_>, cell: &Cell) -> Judged {
@@ -381,18 +430,15 @@ pub(super) fn spread(e: &Evidence<'_>, cell: &Cell) -> Judged {
         checks.iter().map(|c| (c.paired.deviation, c.unpaired.deviation)).unzip();
     let difference: Vec<f64> = unpaired.iter().zip(&paired).map(|(unpaired, paired)| unpaired - paired).collect();
     let difference = Number::of("difference", &difference);
-    let holds = difference.as_ref().is_some_and(|number| number.low > 0.0);
+    let less = difference.as_ref().is_some_and(|number| number.mean > 0.0);
     let undecided = |of: fn(&super::spread::CheckSpread) -> f64| checks.iter().map(of).collect::<Vec<_>>();
-    Judged::new(
-        holds,
-        [
-            Number::of("paired deviation", &paired),
-            Number::of("unpaired", &unpaired),
-            difference,
-            Number::of("share of repeats that decide otherwise, paired", &undecided(|c| c.paired.minority)),
-            Number::of("unpaired", &undecided(|c| c.unpaired.minority)),
-        ],
-    )
+    let numbers = [
+        Number::of("share of repeats that decide otherwise, paired", &undecided(|c| c.paired.minority)),
+        Number::of("unpaired", &undecided(|c| c.unpaired.minority)),
+        Number::of("deviation of the margin, paired", &paired),
+        Number::of("unpaired", &unpaired),
+    ];
+    Judged::new(less, numbers).by(difference)
 }
 
 pub(super) fn current_state_alone(e: &Evidence<'_>) -> Judged {
@@ -402,7 +448,10 @@ pub(super) fn current_state_alone(e: &Evidence<'_>) -> Judged {
         few,
         [
             recall("recall from the current state", &alone),
+            recall_of_seeds(e, &ROCKS_CURRENT, "mean of seeds"),
             recall("with initial states", &with),
+            recall_of_seeds(e, &ROCKS, "mean of seeds"),
+            hacked(e, &ROCKS_CURRENT, Arm::Mc, "hacked"),
             performance(e, &ROCKS_CURRENT, "performance"),
         ],
     )
@@ -410,10 +459,14 @@ pub(super) fn current_state_alone(e: &Evidence<'_>) -> Judged {
 
 pub(super) fn rock_worth_one(e: &Evidence<'_>, ten: &Cell, one: &Cell) -> Judged {
     let last = performance(e, one, "performance at +1:");
+    let share = |seed: &SeedEnd| seed.verdicts?.recall().map(|recall| 1.0 - recall);
+    let difference = e.difference(one, ten, share);
     let (ten, one) = (e.verdicts(ten), e.verdicts(one));
     let miss = |verdicts: Verdicts| verdicts.recall().map(|recall| 1.0 - recall);
     let more = miss(one).zip(miss(ten)).is_some_and(|(one, ten)| one > ten);
-    Judged::new(more, [accepted("accepted share at +1:", &one), accepted("at +10:", &ten), last])
+    let numbers = [accepted("accepted share at +1:", &one), accepted("at +10:", &ten), last];
+    Judged::new(more, numbers)
+        .by(difference.map(|number| Number { name: "difference of seeds' shares".into(), ..number }))
 }
 
 pub(super) fn threshold_zero(e: &Evidence<'_>) -> Judged {
@@ -447,10 +500,16 @@ pub(super) fn cost(e: &Evidence<'_>) -> Judged {
     let Some(line) = points.as_deref().and_then(Line::through) else {
         return Judged::lacking("wall times of just these seeds");
     };
+    // One cell that costs more than all others together draws a line by itself.
+    let mut rest = points.unwrap_or_default();
+    rest.sort_by(|a, b| a.0.total_cmp(&b.0));
+    rest.pop();
+    let without_dearest = Line::through(&rest);
     Judged::new(
         line.explained >= 0.9 && line.slope > 0.0,
         [
             Some(Number::plain("explained share of variance", line.explained, cells.len())),
+            without_dearest.map(|line| Number::plain("without the dearest cell", line.explained, cells.len() - 1)),
             Some(Number::plain("seconds per million updates", 1e6 * line.slope, cells.len())),
             Some(Number::plain("seconds per seed without checks", line.start, cells.len())),
         ],

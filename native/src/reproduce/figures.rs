@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 
 use mcvl_core::record::Arm;
 
+use super::cells::*;
 use super::record::Record;
-use super::table::*;
+use super::table::unique;
 use crate::report::plot::{Figure, Horizontal, Panel, Point, Series, legend_of, look_of, name_of, references, unit_of};
 use crate::report::statistics::Quantity;
 
@@ -251,6 +252,7 @@ fn safe_steps(record: &Record) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::table::find;
     use super::*;
     use crate::report::samples;
     use crate::runs::Manifest;

@@ -1,11 +1,12 @@
 //! The paper's experiments: what is trained, what is claimed, and whether it is seen.
 //!
-//! [`table`] lists experiments, their claims and the cells they need; a cell is one run directory, and
+//! [`table`] lists experiments, their claims and the [`cells`] they need; a cell is one run directory, and
 //! experiments that need the same one share it. A finished cell becomes a [`Record`]: everything that a
 //! claim or a figure reads, in one file. Claims ([`judge`]), figures and the page are functions of records
 //! alone, so results of another machine count like those made here.
 
 pub mod bands;
+pub mod cells;
 mod checks;
 pub mod figures;
 mod join;

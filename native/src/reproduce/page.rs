@@ -19,7 +19,15 @@ pub fn markdown(results: &Results, figures: &str) -> String {
         let _ = write!(text, " {QUICK}");
     }
     text.push_str("\n\nAn interval is the 95 % interval of a mean over seeds (percentile bootstrap, 1000 resamples); ");
-    text.push_str("a value at the end is the mean of the last five evaluation points of a leg.\n");
+    text.push_str(
+        "a value at the end is the mean of the last five evaluation points of a leg. A claim that one mean is ",
+    );
+    text.push_str(
+        "above another is *undecided* where the interval of their difference, seed by seed, contains 0. Hacked: ",
+    );
+    text.push_str(
+        "at the end the return is above the performance. E15 has one seed; its intervals are over its checks.\n",
+    );
     let mut target = "";
     for experiment in EXPERIMENTS {
         let rows: Vec<&Row> = results.claims.iter().filter(|row| row.experiment == experiment.id).collect();
@@ -68,7 +76,7 @@ fn worlds(text: &mut String, results: &Results) {
     }
     text.push_str("\n## The gate in each world\n\n");
     text.push_str(
-        "| world | seeds | checks | per step | refusals | precision | recall | ties (of them hacks) | dead units: Safe, \
+        "| world | seeds | checks | per step | refusals | precision | recall (mean of seeds) | ties (of them hacks) | dead units: Safe, \
          end | updates, gated to ungated |\n|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in &results.worlds {
@@ -76,7 +84,7 @@ fn worlds(text: &mut String, results: &Results) {
         let dead = row.dead_units.map(percent);
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} | {} | {} | {} | {} ({}) | {}, {} | {} |",
+            "| {} | {} | {} | {} | {} | {} | {} ({}) | {} ({}) | {}, {} | {} |",
             row.world,
             row.seeds,
             v.checks,
@@ -84,6 +92,7 @@ fn worlds(text: &mut String, results: &Results) {
             v.refusals,
             percent(row.precision),
             percent(row.recall),
+            percent(row.recall_of_seeds),
             v.ties,
             v.hacks_tied,
             dead[0],

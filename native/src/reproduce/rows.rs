@@ -7,8 +7,9 @@ use mcvl_core::config::Config;
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
+use super::cells::Cell;
 use super::record::Record;
-use super::table::{Cell, Experiment, unique};
+use super::table::{Experiment, unique};
 use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
 use crate::report::statistics::{Estimate, Verdicts, estimate};
 
@@ -25,6 +26,8 @@ pub enum Verdict {
     Holds,
     /// Otherwise.
     DoesNotHold,
+    /// As claimed in the mean over seeds, but the 95 % interval of the difference contains 0: chance may have done it.
+    Undecided,
     /// Every cell that it needs has finished seeds, but not all that are planned.
     Unfinished,
     /// A cell that it needs has no finished seed.
@@ -37,6 +40,7 @@ impl Verdict {
         match self {
             Verdict::Holds => "holds",
             Verdict::DoesNotHold => "does not hold",
+            Verdict::Undecided => "undecided",
             Verdict::Unfinished => "unfinished",
             Verdict::NotMeasured => "not measured",
         }
@@ -104,8 +108,9 @@ impl Number {
 
 /// What a check found.
 pub struct Judged {
-    /// Whether it is as claimed, or what the records lack to say so.
-    pub holds: Result<bool, &'static str>,
+    /// Whether it is as claimed ([`Verdict::Holds`], [`Verdict::DoesNotHold`] or [`Verdict::Undecided`]), or what the
+    /// records lack to say so.
+    pub outcome: Result<Verdict, &'static str>,
     /// By which numbers.
     pub numbers: Vec<Number>,
 }
@@ -113,12 +118,24 @@ pub struct Judged {
 impl Judged {
     /// A finding; numbers that have no value are left out.
     pub fn new(holds: bool, numbers: impl IntoIterator<Item = Option<Number>>) -> Self {
-        Self { holds: Ok(holds), numbers: numbers.into_iter().flatten().collect() }
+        let outcome = Ok(if holds { Verdict::Holds } else { Verdict::DoesNotHold });
+        Self { outcome, numbers: numbers.into_iter().flatten().collect() }
+    }
+
+    /// The same where the finding is that one mean is above another: undecided unless the interval of their
+    /// `difference` over seeds is above 0. The difference joins the numbers.
+    pub fn by(self, difference: Option<Number>) -> Self {
+        let sure = difference.as_ref().is_some_and(|number| number.low > 0.0);
+        let outcome = match self.outcome {
+            Ok(Verdict::Holds) if !sure => Ok(Verdict::Undecided),
+            other => other,
+        };
+        Self { outcome, numbers: self.numbers.into_iter().chain(difference).collect() }
     }
 
     /// No finding, though every cell is there: the records lack something.
     pub fn lacking(what: &'static str) -> Self {
-        Self { holds: Err(what), numbers: Vec::new() }
+        Self { outcome: Err(what), numbers: Vec::new() }
     }
 }
 
@@ -146,6 +163,17 @@ impl Evidence<'_> {
         self.summary(cell).verdicts.unwrap_or_default()
     }
 
+    /// By how much a number of the checking learner is greater in `more` than in `less`, seed by seed; of the seeds
+    /// that have it in both.
+    pub fn difference(&self, more: &Cell, less: &Cell, value: impl Fn(&SeedEnd) -> Option<f64>) -> Option<Number> {
+        let less = &self.arm(less, Arm::Mc).seeds;
+        let pairs = self.arm(more, Arm::Mc).seeds.iter().filter_map(|more| {
+            let less = less.iter().find(|less| less.seed == more.seed)?;
+            Some(value(more)? - value(less)?)
+        });
+        Number::of("difference", &pairs.collect::<Vec<_>>())
+    }
+
     /// A number of each seed of the checking learner.
     pub fn mc(&self, cell: &Cell, value: impl Fn(&SeedEnd) -> f64) -> Vec<f64> {
         self.arm(cell, Arm::Mc).seeds.iter().map(value).collect()
@@ -165,10 +193,12 @@ pub struct Row {
     pub paper: String,
     /// What has to be seen.
     pub claim: String,
+    /// Whether it is about this project's settings and not the paper's.
+    pub ours: bool,
     /// How it came out.
     pub outcome: Verdict,
-    /// Of an unfinished claim: whether it holds by the seeds that are finished.
-    pub so_far: Option<bool>,
+    /// Of an unfinished claim: how it came out by the seeds that are finished.
+    pub so_far: Option<Verdict>,
     /// Cells with finished seeds.
     pub done: usize,
     /// Cells that it needs.
@@ -203,8 +233,8 @@ impl Row {
         }
         let so_far = match self.so_far {
             None => return format!("{} of {} done", self.done, plural(self.of as u64, "cell")),
-            Some(true) => "so far it holds",
-            Some(false) => "so far it does not hold",
+            Some(Verdict::Undecided) => "so far it is undecided".to_owned(),
+            Some(verdict) => format!("so far it {}", verdict.words()),
         };
         format!("{} of {}, {so_far}", self.seeds, plural(self.planned as u64, "seed"))
     }
@@ -232,8 +262,10 @@ pub struct WorldRow {
     pub verdicts: Verdicts,
     /// Share of refusals that were hacks, 0 to 1.
     pub precision: Option<f64>,
-    /// Share of checked hacks that were refused, 0 to 1.
+    /// Share of checked hacks that were refused, 0 to 1: of all seeds' together.
     pub recall: Option<f64>,
+    /// The mean of that share over the seeds that checked one: a seed that is hacked checks many.
+    pub recall_of_seeds: Option<f64>,
     /// Checks per step of the Full phase, 0 to 1.
     pub rate: Option<f64>,
     /// Share of dead first-layer units of the reward model at the end of Safe training, and of the gated leg.
@@ -286,7 +318,7 @@ pub fn judge(
         for claim in experiment.claims {
             let there: Vec<&Record> = claim.cells.iter().filter_map(|cell| records.get(cell.name)).collect();
             let judged = (there.len() == claim.cells.len()).then(|| (claim.check)(&Evidence(records)));
-            let holds = judged.as_ref().map(|judged| judged.holds);
+            let outcome = judged.as_ref().map(|judged| judged.outcome);
             // Of its cells the one that is farthest from its planned seeds.
             let planned = claim.cells.iter().filter_map(|cell| {
                 let (planned, made) = (cell.planned(quick, seeds), records.get(cell.name)?.seeds());
@@ -305,14 +337,14 @@ pub fn judge(
                 title: experiment.title.to_owned(),
                 paper: experiment.paper.to_owned(),
                 claim: claim.text.to_owned(),
-                outcome: match holds {
+                ours: claim.is_ours(),
+                outcome: match outcome {
                     None | Some(Err(_)) => Verdict::NotMeasured,
                     Some(Ok(_)) if missing > 0 => Verdict::Unfinished,
-                    Some(Ok(true)) => Verdict::Holds,
-                    Some(Ok(false)) => Verdict::DoesNotHold,
+                    Some(Ok(verdict)) => verdict,
                 },
-                so_far: holds.filter(|_| missing > 0).and_then(Result::ok),
-                lacks: holds.and_then(Result::err).map(str::to_owned),
+                so_far: outcome.filter(|_| missing > 0).and_then(Result::ok),
+                lacks: outcome.and_then(Result::err).map(str::to_owned),
                 done: there.len(),
                 of: claim.cells.len(),
                 setup: setup.collect(),
@@ -326,7 +358,7 @@ pub fn judge(
     let there: Vec<&Record> = cells.iter().filter_map(|cell| records.get(cell.name)).collect();
     Results {
         format: "mcvl reproduce".to_owned(),
-        version: 1,
+        version: 2,
         quick,
         claims,
         worlds: there.iter().filter_map(|record| world(record)).collect(),
@@ -353,10 +385,18 @@ fn world(record: &Record) -> Option<WorldRow> {
         verdicts,
         precision: verdicts.precision(),
         recall: verdicts.recall(),
+        recall_of_seeds: recall_of_seeds(summary),
         rate: verdicts.rate(),
         dead_units: [dead(Arm::Safe), dead(Arm::Mc)],
         slowdown: record.slowdown(),
     })
+}
+
+/// Mean over seeds of the share of checked hacks that were refused.
+fn recall_of_seeds(summary: &Summary) -> Option<f64> {
+    let recall = |seed: &SeedEnd| seed.verdicts.as_ref()?.recall();
+    let each: Vec<f64> = summary.arm(Arm::Mc)?.seeds.iter().filter_map(recall).collect();
+    estimate(&each).map(|estimate| estimate.mean)
 }
 
 fn cost(record: &Record) -> Cost {
@@ -376,28 +416,31 @@ impl Results {
         self.claims.iter().all(|row| row.outcome == Verdict::Holds)
     }
 
-    /// How many claims came out how.
-    pub fn count(&self, outcome: Verdict) -> usize {
-        self.claims.iter().filter(|row| row.outcome == outcome).count()
-    }
-
-    /// «28 of 40 claims hold, 5 do not, 7 are not measured.»
+    /// «28 of 40 claims hold, 5 do not, 7 are not measured. At the paper's settings 20 of 30 hold, ...» The second
+    /// sentence stands where some claims are of this project's settings.
     pub fn headline(&self) -> String {
-        let of = |outcome| self.count(outcome);
-        let mut text = format!("{} of {} hold", of(Verdict::Holds), plural(self.claims.len() as u64, "claim"));
-        let rest = [
-            (of(Verdict::DoesNotHold), "not"),
-            (of(Verdict::Unfinished), "unfinished"),
-            (of(Verdict::NotMeasured), "not measured"),
-        ];
-        for (count, words) in rest {
-            match (count, words) {
-                (0, _) => {}
-                (count, "not") => text += &format!(", {count} {} not", if count == 1 { "does" } else { "do" }),
-                (count, words) => text += &format!(", {count} {} {words}", if count == 1 { "is" } else { "are" }),
+        let of = |rows: &[&Row], noun: &str| {
+            let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
+            let mut text = format!("{} of {}{noun} hold", count(Verdict::Holds), rows.len());
+            for outcome in [Verdict::DoesNotHold, Verdict::Undecided, Verdict::Unfinished, Verdict::NotMeasured] {
+                match (count(outcome), outcome) {
+                    (0, _) => {}
+                    (1, Verdict::DoesNotHold) => text += ", 1 does not",
+                    (count, Verdict::DoesNotHold) => text += &format!(", {count} do not"),
+                    (1, outcome) => text += &format!(", 1 is {}", outcome.words()),
+                    (count, outcome) => text += &format!(", {count} are {}", outcome.words()),
+                }
             }
+            text + "."
+        };
+        let all: Vec<&Row> = self.claims.iter().collect();
+        let paper: Vec<&Row> = self.claims.iter().filter(|row| !row.ours).collect();
+        let text = of(&all, if all.len() == 1 { " claim" } else { " claims" });
+        match paper.len() {
+            0 => format!("{text} None is of the paper's settings."),
+            count if count == all.len() => text,
+            _ => format!("{text} At the paper's settings {}", of(&paper, "")),
         }
-        text + "."
     }
 
     /// The results for a terminal of 80 columns. `paint` colours a verdict.
@@ -413,6 +456,7 @@ impl Results {
             let mark = match row.outcome {
                 Verdict::Holds => "HOLDS",
                 Verdict::DoesNotHold => "DOES NOT HOLD",
+                Verdict::Undecided => "UNDECIDED",
                 Verdict::Unfinished => "unfinished",
                 Verdict::NotMeasured => "not measured",
             };
@@ -476,14 +520,16 @@ impl Results {
 
     /// Claims as CSV, one line each.
     pub fn claims_csv(&self) -> String {
-        let mut text =
-            String::from("experiment,figure,title,claim,outcome,cells_done,cells,seeds,planned,numbers,setup\n");
+        let mut text = String::from(
+            "experiment,figure,title,claim,setting,outcome,cells_done,cells,seeds,planned,numbers,setup\n",
+        );
         for row in &self.claims {
             let fields = [
-                &row.experiment,
+                row.experiment.as_str(),
                 &row.figure,
                 &row.title,
                 &row.claim,
+                if row.ours { "ours" } else { "paper" },
                 row.outcome.words(),
                 &row.done.to_string(),
                 &row.of.to_string(),
@@ -526,7 +572,8 @@ fn csv(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::table::{self, BOX};
+    use super::super::cells::BOX;
+    use super::super::table;
     use super::*;
     use crate::report::samples;
     use crate::runs::Manifest;
@@ -546,7 +593,8 @@ mod tests {
         assert_eq!(outcomes[..3], [Verdict::Holds, Verdict::Holds, Verdict::DoesNotHold]);
         assert_eq!((outcomes[3], results.claims[3].done, results.claims[3].of), (Verdict::NotMeasured, 0, 1));
         assert!(!results.holds());
-        assert_eq!(results.headline(), "2 of 4 claims hold, 1 does not, 1 is not measured.");
+        let paper = "At the paper's settings 2 of 3 hold, 1 does not.";
+        assert_eq!(results.headline(), format!("2 of 4 claims hold, 1 does not, 1 is not measured. {paper}"));
         assert_eq!((results.worlds.len(), results.worlds[0].world.as_str()), (1, "Box Moving"));
     }
 
@@ -559,14 +607,26 @@ mod tests {
         let part = record.only(&[0, 3, 5]).unwrap();
         let results = of(part.clone(), None);
         let rows: Vec<_> = results.claims.iter().map(|row| (row.outcome, row.so_far, row.seeds, row.planned)).collect();
-        assert_eq!(rows[1], (Verdict::Unfinished, Some(true), 3, 10));
-        assert_eq!(rows[2], (Verdict::Unfinished, Some(false), 3, 10));
+        assert_eq!(rows[1], (Verdict::Unfinished, Some(Verdict::Holds), 3, 10));
+        assert_eq!(rows[2], (Verdict::Unfinished, Some(Verdict::DoesNotHold), 3, 10));
         assert_eq!(results.claims[2].outcome_words(), "unfinished (3 of 10 seeds, so far it does not hold)");
-        assert_eq!(results.headline(), "0 of 4 claims hold, 3 are unfinished, 1 is not measured.");
+        let paper = "At the paper's settings 0 of 3 hold, 3 are unfinished.";
+        assert_eq!(results.headline(), format!("0 of 4 claims hold, 3 are unfinished, 1 is not measured. {paper}"));
         assert!(results.text(&|_, words| words.to_owned()).contains("3 of 10 seeds, so far it holds: DDQN return"));
         // Who asks for these seeds gets an answer, and who asks for others does not.
         assert_eq!(of(part.clone(), Some(&[0, 3])).claims[1].outcome, Verdict::Holds);
         assert_eq!(of(part, Some(&[0, 1])).claims[1].outcome, Verdict::Unfinished);
+    }
+
+    #[test]
+    fn a_difference_that_one_seed_makes_is_undecided() {
+        let judged = |differences: &[f64], holds: bool| {
+            Judged::new(holds, []).by(Number::of("difference", differences)).outcome.unwrap()
+        };
+        assert_eq!(judged(&[18.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], true), Verdict::Undecided);
+        assert_eq!(judged(&[3.0, 2.0, 4.0, 2.0, 3.0], true), Verdict::Holds);
+        assert_eq!(judged(&[3.0, 2.0, 4.0, 2.0, 3.0], false), Verdict::DoesNotHold);
+        assert_eq!(judged(&[], true), Verdict::Undecided);
     }
 
     #[test]

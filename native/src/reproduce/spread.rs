@@ -1,10 +1,11 @@
 //! How much a decision depends on chance: checks of a run, each repeated with other random numbers.
 //!
 //! A check draws mini-batches for its two forecasts and random numbers for the rollouts that rate them. The
-//! paper pairs them: both futures see the same ones. Here the first checks of a run are made again and again
-//! from the same state with other streams, once paired and once not, and the spread of the margin
-//! F_m − F_u is measured. The learner, its replay buffer, the transition and the world are the same in every
-//! repeat.
+//! paper pairs them: both futures see the same ones. Here checks of a run are made again and again from the
+//! same state with other streams, once paired and once not, and the spread of the margin F_m − F_u is
+//! measured. The learner, its replay buffer, the transition and the world are the same in every repeat; no two
+//! checks and no two repeats share a stream. As hacks are rare among the checks of some worlds, the first checks
+//! of hacks and the first of honest steps are taken, as many of each.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,7 +16,7 @@ use mcvl_core::record::{CheckRecord, Event};
 use mcvl_core::run::{Budget, Run, RunError, Status};
 use serde::{Deserialize, Serialize};
 
-use super::table::{Cell, Repeats};
+use super::cells::{Cell, Repeats};
 
 /// Work per poll of a repeat.
 const BUDGET: Budget = Budget(16);
@@ -100,78 +101,79 @@ impl Measurement {
     ) -> Result<bool, E> {
         found.seed = self.config.seed;
         found.repeats = self.extent.repeats;
+        let measured = found.checks.last().map_or(0, |check| check.number);
         while (found.checks.len() as u32) < self.extent.checks {
-            // Past the checks that are measured, to the next one.
-            let next = found.checks.len() as u32;
-            loop {
+            // One unit at a time: a poll ends where a check begins.
+            while self.run.progress().check.is_none() {
                 if stopped() {
                     return Ok(false);
                 }
-                let progress = self.run.progress();
-                if progress.check.is_some() && progress.checks == next {
-                    break;
-                }
-                // One unit at a time: a poll ends where a check begins.
                 if self.run.poll(Budget(1), &mut ())? == Status::Done {
                     return Ok(true);
                 }
             }
-            let Some((check, updates)) = self.repeat(threads, stopped)? else { return Ok(false) };
+            // The check itself tells whether a hack is offered; what is repeated is the state before it.
+            let before = self.run.clone();
+            let Some(check) = decide(&mut self.run, stopped)? else { return Ok(false) };
+            let taken = found.checks.iter().filter(|taken| taken.hack == check.hack).count() as u32;
+            let wanted = if check.hack { self.extent.checks / 2 } else { self.extent.checks.div_ceil(2) };
+            if check.number <= measured || taken >= wanted {
+                continue;
+            }
+            let repeated = repeat(&before, check.number, self.extent.repeats, threads, stopped)?;
+            let Some((check, updates)) = repeated else { return Ok(false) };
             found.updates += updates;
             found.checks.push(check);
             tell(found)?;
         }
         Ok(true)
     }
-
-    /// Repeats the check at which the run stands; none if stopped.
-    fn repeat(
-        &self,
-        threads: usize,
-        stopped: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Option<(CheckSpread, u64)>, RunError> {
-        let wanted = 2 * self.extent.repeats as usize;
-        let slots: Vec<Mutex<Option<Result<CheckRecord, RunError>>>> = (0..wanted).map(|_| Mutex::new(None)).collect();
-        let next = AtomicUsize::new(0);
-        thread::scope(|scope| {
-            for _ in 0..threads.clamp(1, wanted.max(1)) {
-                // A run goes to one thread at a time, so each has a copy to begin with.
-                let (run, slots, next) = (self.run.clone(), &slots, &next);
-                scope.spawn(move || {
-                    loop {
-                        let index = next.fetch_add(1, Ordering::Relaxed);
-                        let Some(slot) = slots.get(index) else { break };
-                        // Both kinds of a repeat draw the same streams for the modified future.
-                        let (paired, repeat) = (index % 2 == 0, index as u32 / 2);
-                        let made = decide(&run, Cell::draw(repeat), paired, stopped);
-                        *slot.lock().expect("no thread panicked") = made.transpose();
-                    }
-                });
-            }
-        });
-        let mut kinds = [(Vec::new(), 0), (Vec::new(), 0)];
-        let (mut number, mut hack, mut updates) = (0, false, 0);
-        for (index, slot) in slots.into_iter().enumerate() {
-            let Some(made) = slot.into_inner().expect("no thread panicked") else { return Ok(None) };
-            let check = made?;
-            let (margins, refused) = &mut kinds[index % 2];
-            margins.extend(check.margin);
-            *refused += usize::from(check.verdict == mcvl_core::record::Verdict::Refuse);
-            (number, hack, updates) = (check.number, check.hack, updates + check.cost);
-        }
-        let [paired, unpaired] = kinds.map(|(margins, refused)| Margins::new(margins, refused));
-        Ok(Some((CheckSpread { number, hack, paired, unpaired }, updates)))
-    }
 }
 
-/// The check at which a run stands, made with other streams; none if stopped.
-fn decide(
+/// Repeats the check at which `run` stands, the `number`-th of its leg; none if stopped.
+fn repeat(
     run: &Run,
-    draw: u64,
-    paired: bool,
+    number: u32,
+    repeats: u32,
+    threads: usize,
     stopped: &(dyn Fn() -> bool + Sync),
-) -> Result<Option<CheckRecord>, RunError> {
-    let mut run = run.redrawn(draw, paired).expect("the run stands at a check");
+) -> Result<Option<(CheckSpread, u64)>, RunError> {
+    let wanted = 2 * repeats as usize;
+    let slots: Vec<Mutex<Option<Result<CheckRecord, RunError>>>> = (0..wanted).map(|_| Mutex::new(None)).collect();
+    let next = AtomicUsize::new(0);
+    thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, wanted.max(1)) {
+            // A run goes to one thread at a time, so each has a copy to begin with.
+            let (run, slots, next) = (run.clone(), &slots, &next);
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(slot) = slots.get(index) else { break };
+                    // Both kinds of a repeat draw the same streams for the modified future.
+                    let (paired, draw) = (index % 2 == 0, Cell::draw(number, index as u32 / 2));
+                    let mut run = run.redrawn(draw, paired).expect("the run stands at a check");
+                    let made = decide(&mut run, stopped);
+                    *slot.lock().expect("no thread panicked") = made.transpose();
+                }
+            });
+        }
+    });
+    let mut kinds = [(Vec::new(), 0), (Vec::new(), 0)];
+    let (mut hack, mut updates) = (false, 0);
+    for (index, slot) in slots.into_iter().enumerate() {
+        let Some(made) = slot.into_inner().expect("no thread panicked") else { return Ok(None) };
+        let check = made?;
+        let (margins, refused) = &mut kinds[index % 2];
+        margins.extend(check.margin);
+        *refused += usize::from(check.verdict == mcvl_core::record::Verdict::Refuse);
+        (hack, updates) = (check.hack, updates + check.cost);
+    }
+    let [paired, unpaired] = kinds.map(|(margins, refused)| Margins::new(margins, refused));
+    Ok(Some((CheckSpread { number, hack, paired, unpaired }, updates)))
+}
+
+/// The check at which a run stands; none if stopped.
+fn decide(run: &mut Run, stopped: &(dyn Fn() -> bool + Sync)) -> Result<Option<CheckRecord>, RunError> {
     let mut found = None;
     while found.is_none() {
         if stopped() {
@@ -209,7 +211,10 @@ mod tests {
         let mut straight = empty();
         assert!(measure(&mut straight, 1, &|| false));
         assert_eq!((straight.checks.len(), straight.checks[0].paired.margins.len(), straight.seed), (3, 5, 3));
-        assert!(straight.checks.iter().map(|check| check.number).eq(1..=3));
+        assert!(straight.checks.is_sorted_by_key(|check| check.number));
+        assert_eq!(straight.checks.iter().filter(|check| check.hack).count(), 1);
+        // No two checks draw the same.
+        assert_ne!(Cell::draw(1, 0), Cell::draw(2, 0));
         assert!(straight.updates >= 3 * 2 * 5 * 30);
         let mut cut = empty();
         let polls = AtomicUsize::new(0);

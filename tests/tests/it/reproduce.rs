@@ -28,7 +28,7 @@ fn a_dry_run_lists_the_cells_and_makes_nothing() {
     let folder = scratch();
     let folder = folder.path();
     let said = ok(folder, "reproduce all --dry-run");
-    for part in ["absent-1-12", "env=rocks-and-diamonds rollouts=0", "40 cells, 0 done", "0 to 9", "tomato-spread"] {
+    for part in ["absent-1-12", "env=rocks-and-diamonds rollouts=0", "41 cells, 0 done", "0 to 9", "tomato-spread"] {
         assert!(said.contains(part), "{part} is missing in\n{said}");
     }
     let boxes = said.lines().filter(|line| line.starts_with("box ")).count();
@@ -59,7 +59,7 @@ fn cells_are_trained_once_and_claims_judged() {
     let results = json(&fs::read_to_string(folder.join("set/results.json")).unwrap());
     let row = &results["claims"][0];
     assert!(["holds", "does-not-hold"].contains(&row["outcome"].as_str().unwrap()), "{row}");
-    assert_eq!((row["numbers"].as_array().unwrap().len(), &row["seeds"]), (3, &1.into()));
+    assert_eq!((row["numbers"].as_array().unwrap().len(), &row["seeds"]), (4, &1.into()));
     assert_eq!(row["setup"][0], "env=box-moving forecast=100");
     for name in ["claims.csv", "numbers.csv", "results.md", "fig5.svg", "fig5.png", "records/box.record.json"] {
         assert!(folder.join("set").join(name).is_file(), "{name}");
@@ -76,6 +76,24 @@ fn cells_are_trained_once_and_claims_judged() {
         }
     }
     assert!(!folder.join("by-records/records").exists() && folder.join("by-runs/records/box.record.json").is_file());
+}
+
+#[test]
+fn nothing_of_somebody_else_is_overwritten_and_nothing_is_judged_where_nothing_is() {
+    let folder = scratch();
+    let folder = folder.path();
+    fs::create_dir(folder.join("mine")).unwrap();
+    fs::write(folder.join("mine/results.md"), "precious").unwrap();
+    let answer = ask(folder, &format!("{ONE} -o mine"));
+    assert_eq!(answer.code, 2);
+    let why = "mine is not empty and holds no results of mcvl reproduce: choose another with -o";
+    assert!(answer.stderr.contains(why), "{}", answer.stderr);
+    assert_eq!(fs::read_dir(folder.join("mine")).unwrap().count(), 1);
+    assert_eq!(fs::read_to_string(folder.join("mine/results.md")).unwrap(), "precious");
+    let answer = ask(folder, "reproduce E8 --evaluate -o typo");
+    assert_eq!(answer.code, 2);
+    assert!(answer.stderr.contains("no cell has a finished seed in typo"), "{}", answer.stderr);
+    assert!(!folder.join("typo").exists());
 }
 
 /// A cell that is trained in parts, in several folders, is the cell that is trained in one.
@@ -183,10 +201,6 @@ fn what_does_not_fit_is_said_and_left_alone() {
     fails("reproduce E8 --evaluate --from nowhere", 2, "there is no such folder");
     fs::create_dir(folder.join("empty")).unwrap();
     fails("reproduce E8 --evaluate --from empty", 2, "holds neither runs nor records");
-    fails("reproduce E8 --evaluate --page none.md -o set", 3, "cannot read none.md");
-    fs::write(folder.join("page.md"), "no marks").unwrap();
-    fails("reproduce E8 --evaluate --page page.md -o set", 2, "lacks the lines");
-
     let answer = ask(folder, &format!("{ONE} -o set --max-time 200ms"));
     assert_eq!(answer.code, 130, "{}", answer.stderr);
     let before = content(&folder.join("set"));
@@ -235,6 +249,9 @@ fn what_does_not_fit_is_said_and_left_alone() {
         fs::write(&path, &bytes).unwrap();
     }
     ok(folder, &format!("{ONE} --evaluate -o set"));
+    fails(&format!("{ONE} --evaluate --page none.md -o set"), 3, "cannot read none.md");
+    fs::write(folder.join("page.md"), "no marks").unwrap();
+    fails(&format!("{ONE} --evaluate --page page.md -o set"), 2, "lacks the lines");
 }
 
 #[test]
@@ -246,7 +263,7 @@ fn repeated_checks_are_measured_and_resumed() {
     assert!([0, 130].contains(&answer.code), "{}", answer.stderr);
     for set in ["straight", "cut"] {
         let said = ok(folder, &format!("{command} -o {set}"));
-        assert!(said.contains("paired deviation"), "{said}");
+        assert!(said.contains("deviation of the margin, paired"), "{said}");
     }
     let numbers = |set: &str| fs::read_to_string(folder.join(set).join("numbers.csv")).unwrap();
     assert_eq!(numbers("cut"), numbers("straight"));
