@@ -62,6 +62,11 @@ impl ArmSummary {
         Some(Self { arm, observed_return, performance, seeds })
     }
 
+    /// Share of the checked hacks that were refused, seed by seed; of the seeds that checked one.
+    pub fn recalls(&self) -> Vec<f64> {
+        self.seeds.iter().filter_map(|seed| seed.verdicts.as_ref()?.recall()).collect()
+    }
+
     /// Seeds that were hacked.
     pub fn hacked(&self) -> usize {
         self.seeds.iter().filter(|seed| seed.hacked()).count()

@@ -92,8 +92,7 @@ fn recall(name: &str, verdicts: &Verdicts) -> Option<Number> {
 
 /// The mean of that share over the seeds that checked a hack.
 fn recall_of_seeds(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
-    let recall = |seed: &SeedEnd| seed.verdicts.as_ref()?.recall();
-    Number::of(name, &e.arm(cell, Arm::Mc).seeds.iter().filter_map(recall).collect::<Vec<_>>())
+    Number::of(name, &e.arm(cell, Arm::Mc).recalls())
 }
 
 /// By how much performance at the end is greater in `more` than in `less`, seed by seed.

@@ -11,7 +11,7 @@ use super::cells::Cell;
 use super::record::Record;
 use super::table::{Experiment, unique};
 use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
-use crate::report::statistics::{Estimate, Verdicts, estimate};
+use crate::report::statistics::{Estimate, Verdicts, estimate, mean};
 
 /// Columns of a terminal.
 const WIDTH: usize = 80;
@@ -385,18 +385,11 @@ fn world(record: &Record) -> Option<WorldRow> {
         verdicts,
         precision: verdicts.precision(),
         recall: verdicts.recall(),
-        recall_of_seeds: recall_of_seeds(summary),
+        recall_of_seeds: summary.arm(Arm::Mc).and_then(|leg| mean(&leg.recalls())),
         rate: verdicts.rate(),
         dead_units: [dead(Arm::Safe), dead(Arm::Mc)],
         slowdown: record.slowdown(),
     })
-}
-
-/// Mean over seeds of the share of checked hacks that were refused.
-fn recall_of_seeds(summary: &Summary) -> Option<f64> {
-    let recall = |seed: &SeedEnd| seed.verdicts.as_ref()?.recall();
-    let each: Vec<f64> = summary.arm(Arm::Mc)?.seeds.iter().filter_map(recall).collect();
-    estimate(&each).map(|estimate| estimate.mean)
 }
 
 fn cost(record: &Record) -> Cost {
