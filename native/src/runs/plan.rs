@@ -171,7 +171,11 @@ impl Plan {
                     settings.push((key.name.to_owned(), Setting { value, from }));
                 }
                 Some(_) => {
-                    return Err(format!("`{}` under [settings] contradicts `config`: the file was altered", key.name));
+                    return Err(format!(
+                        "`{}` under [settings] contradicts `config`: the file was altered, or a version of mcvl wrote it \
+                         in which the preset had another value; continue it with that one",
+                        key.name
+                    ));
                 }
             }
         }
@@ -237,6 +241,20 @@ mod tests {
         let altered = text.replace("threshold = { value = \"0.125\"", "threshold = { value = \"0.5\"");
         assert_ne!(altered, text);
         assert!(Plan::parse(&altered).unwrap_err().contains("`threshold` under [settings] contradicts"));
+        // A run of when the preset had another value.
+        let mut release = plan();
+        let config: Config = "env=box-moving preset=release".parse().unwrap();
+        release.config = config.with_seed(release.seeds[0]);
+        release.settings = KEYS
+            .iter()
+            .map(|key| {
+                (key.name.to_owned(), Setting { value: key.value(&release.config), from: Origin::default_value() })
+            })
+            .collect();
+        let former =
+            release.to_toml().replace("epsilon_clamp = { value = \"false\"", "epsilon_clamp = { value = \"true\"");
+        let why = Plan::parse(&former).unwrap_err();
+        assert!(why.contains("`epsilon_clamp`") && why.contains("the preset had another value"), "{why}");
         let older: String =
             text.lines().filter(|line| !line.starts_with("tau = ")).map(|l| l.to_owned() + "\n").collect();
         assert_eq!(Plan::parse(&older).unwrap().config, plan().config, "a setting that came later has its default");
