@@ -549,14 +549,8 @@ impl Config {
             );
             return Err(ConfigError::new("hidden", message));
         }
-        if let Some((key, why)) = self.without_effect() {
-            return Err(ConfigError::new(key, format!("{key}: {why}, not {}; leave it out", self.env)));
-        }
-        if self.punishment.to_bits() != Self::of(self.experiment(), self.preset).punishment.to_bits()
-            && self.scheme != Scheme::Punish
-        {
-            let message = "punishment: only scheme=punish stores it; set that or leave it out";
-            return Err(ConfigError::new("punishment", message.to_owned()));
+        if let Some((key, reader, this)) = self.without_effect() {
+            return Err(ConfigError::new(key, format!("{key}: {reader}, not {this}; leave it out")));
         }
         if self.rollouts == 0 && !self.current_rollout {
             let message = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
@@ -573,24 +567,33 @@ impl Config {
         Ok(())
     }
 
-    /// A setting that is changed though nothing in this world reads it, and what would: runs that differ in it alone
-    /// would be the same.
-    fn without_effect(&self) -> Option<(&'static str, &'static str)> {
-        let is = |env: &str| self.env == env;
+    /// A setting that is changed though nothing in this run reads it, what would, and what is here instead: runs that
+    /// differ in it alone would be the same.
+    fn without_effect(&self) -> Option<(&'static str, &'static str, &str)> {
+        let (env, scheme) = (self.env.as_str(), self.scheme.name());
         // Who brings a world brings its learner, too.
-        let td3 = is("reacher") || is(experiment::CUSTOM.name);
+        let td3 = env == "reacher" || env == experiment::CUSTOM.name;
         let noise: &[&str] = &["exploration_noise", "policy_noise", "noise_clip", "policy_delay"];
-        let readers: [(&[&str], bool, &str); 4] = [
-            (&["supervisors", "supervisors_safe"], is("absent-supervisor"), "supervisors watch absent-supervisor"),
-            (&["flag"], is("box-moving"), "the flag stands in box-moving"),
-            (&["physics"], is("reacher"), "MuJoCo moves Reacher"),
-            (noise, td3, "it is of TD3, which learns reacher"),
+        let watched: &[&str] = &["supervisors", "supervisors_safe"];
+        let readers: [(&[&str], bool, &str, &str); 5] = [
+            (watched, env == "absent-supervisor", "supervisors watch absent-supervisor", env),
+            (&["flag"], env == "box-moving", "the flag stands in box-moving", env),
+            (&["physics"], env == "reacher", "MuJoCo moves Reacher", env),
+            (noise, td3, "it is of TD3, which learns reacher", env),
+            (&["punishment"], self.scheme == Scheme::Punish, "the scheme punish stores it", scheme),
         ];
         let changes = self.changes();
-        let unread = readers.iter().filter(|(_, read, _)| !read);
+        let unread = readers.into_iter().filter(|(_, read, ..)| !read);
         unread
-            .flat_map(|(keys, _, why)| keys.iter().map(move |key| (*key, *why)))
-            .find(|(key, _)| changes.iter().any(|(name, _)| name == key))
+            .flat_map(|(keys, _, reader, this)| keys.iter().map(move |key| (*key, reader, this)))
+            .find(|(key, ..)| changes.iter().any(|(name, _)| name == key))
+    }
+
+    /// Panics with what is wrong with it, where something is.
+    pub(crate) fn assert_valid(&self) {
+        if let Err(error) = self.validate() {
+            panic!("{error}");
+        }
     }
 
     /// The same run with another seed.

@@ -108,9 +108,7 @@ impl Play {
     /// # Panics
     /// If the configuration is not [valid](Config::validate). Unless [`Play::offers`] it: if it is [`Config::custom`].
     pub fn new(config: &Config, leg: Arm) -> Self {
-        if let Err(error) = config.validate() {
-            panic!("{error}");
-        }
+        config.assert_valid();
         let (_, begin) = Self::find(config).expect("only built-in worlds have names");
         let world = begin(config, leg);
         let observation = vec![0.0; world.spec().observation.width];

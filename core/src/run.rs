@@ -447,9 +447,7 @@ impl Run {
     /// If the configuration is not [valid](Config::validate). Unless [`Run::offers`] it: if it is [`Config::custom`], or
     /// of a simulator that is not in this crate: such worlds go to a [`Trainer`] and to [`Run::of`].
     pub fn new(config: &Config) -> Self {
-        if let Err(error) = config.validate() {
-            panic!("{error}");
-        }
+        config.assert_valid();
         assert_eq!(config.physics, Simulator::ClosedForm, "core has no other simulator");
         let family = Family::find(&config.env).expect("runs are of built-in worlds");
         Self { inner: (family.begin)(config) }

@@ -205,9 +205,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         let spec = safe.spec().clone();
         assert_eq!(spec.observation, full.spec().observation, "Safe and Full worlds show the same observations");
         assert_eq!(spec.actions, full.spec().actions, "Safe and Full worlds offer the same actions");
-        if let Err(error) = config.validate() {
-            panic!("{error}");
-        }
+        config.assert_valid();
         let replay = ReplayBuffer::new(spec.observation, config.replay);
         let mut trainer = Self {
             world: Paying::observed(safe.clone()),

@@ -68,7 +68,7 @@ fn errors_say_what_and_what_to_do() {
     assert_eq!(message("env=box-moving policy_delay=7"), delay);
     let flag = "flag: the flag stands in box-moving, not tomato-watering; leave it out";
     assert_eq!(message("env=tomato-watering flag=false"), flag);
-    let punishment = "punishment: only scheme=punish stores it; set that or leave it out";
+    let punishment = "punishment: the scheme punish stores it, not by-reward; leave it out";
     assert_eq!(message("env=box-moving punishment=-9"), punishment);
     assert!("env=box-moving scheme=punish punishment=-9".parse::<Config>().is_ok());
     assert!("env=reacher policy_delay=7".parse::<Config>().is_ok());

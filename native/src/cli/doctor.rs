@@ -11,7 +11,6 @@ use mcvl_core::exact;
 use serde_json::json;
 
 use super::Done;
-use super::inspect::listed;
 use super::terminal::Terminal;
 
 /// Arguments of `mcvl doctor`.
@@ -98,7 +97,8 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             ("terminal", (PLAIN, progress.to_owned())),
         ];
         for (name, (color, value)) in rows {
-            write!(terminal.out, "{}", listed(&format!("{name:<11}"), &value, color, terminal))?;
+            let line = terminal.listed(&format!("{name:<11}"), &value, color);
+            write!(terminal.out, "{line}")?;
         }
     }
     Ok(if different.is_empty() { Done::Well } else { Done::Mismatch })

@@ -165,21 +165,11 @@ pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result
             let truth = if check.hack { "hack" } else { "honest" };
             let wrong = if check.wrong() { ", WRONG" } else { "" };
             let sentence = format!("{} ({truth}{wrong})", check.sentence());
-            write!(terminal.out, "{}", listed(&format!("  #{:<4}", check.number), &sentence, color, terminal))?;
+            let line = terminal.listed(&format!("  #{:<4}", check.number), &sentence, color);
+            write!(terminal.out, "{line}")?;
         }
     }
     Ok(Done::Well)
-}
-
-/// A name and what is said of it, in as many lines as that takes, each painted by itself.
-pub fn listed(name: &str, text: &str, color: u8, terminal: &Terminal) -> String {
-    let indent = name.chars().count() + 1;
-    let text = wrap(text, indent, WIDTH);
-    let lines = text.lines().enumerate().map(|(number, line)| {
-        let margin = if number == 0 { format!("{name} ") } else { " ".repeat(indent) };
-        format!("{margin}{}\n", terminal.paint(color, &line[indent..]))
-    });
-    lines.collect()
 }
 
 /// The seeds of a run that were asked for: one, or all that have begun.
@@ -221,9 +211,8 @@ pub fn explain(arguments: &ExplainArgs, terminal: &mut Terminal) -> anyhow::Resu
     let found = Found::read(&arguments.check, Reader::ledger)?;
     let tape = runs::tape(&found.dir, arguments.check.number, found.line())?;
     let spec = worlds::spec(&found.config);
-    let text = film::explain(&tape, &spec, WIDTH, terminal.color);
-    let seed = format!("Seed {}, check", found.dir.seed());
-    write!(terminal.out, "{}", if found.alone { text } else { text.replacen("Check", &seed, 1) })?;
+    let seed = (!found.alone).then(|| found.dir.seed());
+    write!(terminal.out, "{}", film::explain(&tape, seed, &spec, WIDTH, terminal.color))?;
     let token = Token { config: found.config.clone(), number: tape.number, digest: found.line().digest() };
     writeln!(terminal.out, "\nRe-derive it anywhere:\n  mcvl replay {token}")?;
     if let Some(path) = &arguments.svg {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{ErrorKind, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -150,7 +150,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     if arguments.dry_run {
         return dry_run(arguments, &wanted, &standings, terminal);
     }
-    folder.is_ours()?;
+    folder.check_place()?;
     if arguments.evaluate && standings.iter().all(|standing| standing.record.is_none()) {
         let there = folder.0.display();
         usage!("--evaluate: no cell has a finished seed in {there}; name the folder with -o, or results with --from");
@@ -300,14 +300,10 @@ struct Folder(PathBuf);
 
 impl Folder {
     /// Checks that nothing of somebody else is overwritten: the folder is new or empty, or a set of experiments.
-    fn is_ours(&self) -> anyhow::Result<()> {
+    fn check_place(&self) -> anyhow::Result<()> {
         let is_ours = |name: &str| self.0.join(name).exists();
-        let empty = match fs::read_dir(&self.0) {
-            Ok(mut entries) => entries.next().is_none(),
-            Err(error) if error.kind() == ErrorKind::NotFound => true,
-            Err(error) => return Err(RunsError::io("read the folder", &self.0)(error).into()),
-        };
-        if !empty && !["cells", "records", "results.json"].into_iter().any(is_ours) {
+        let free = RunDir::new(&self.0).is_free()?;
+        if !free && !["cells", "records", "results.json"].into_iter().any(is_ours) {
             usage!("{} is not empty and holds no results of mcvl reproduce: choose another with -o", self.0.display());
         }
         Ok(())
@@ -344,12 +340,7 @@ impl Folder {
         let plan = Plan::read(&run)?;
         let elsewhere = lent.as_ref().map_or(&[][..], |(lent, _)| lent.seeds());
         self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, elsewhere, Some(&plan.learners))?;
-        let manifest = match Manifest::read_intact(&run) {
-            Ok(manifest) => manifest,
-            // Killed between its first two files.
-            Err(RunsError::Io { .. }) => return Ok(Standing::new(wanted, None, lent, true)),
-            Err(error) => return Err(error.into()),
-        };
+        let Some(manifest) = Manifest::of_run(&run)? else { return Ok(Standing::new(wanted, None, lent, true)) };
         // A record of this very state spares reading the run; one that cannot be read is made again, and so is that of a
         // run that goes on.
         let finished = manifest.state == State::Finished;

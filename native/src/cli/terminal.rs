@@ -6,6 +6,8 @@ use std::io::{self, BufWriter, IsTerminal as _, Stdout, Write};
 
 use clap::ValueEnum;
 
+use super::WIDTH;
+
 /// When to use colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Color {
@@ -51,6 +53,17 @@ impl Terminal {
     /// Text in a colour (an SGR code: 0 none, 1 bold, 31 red, 32 green, 2 faint).
     pub fn paint(&self, code: u8, text: impl Display) -> String {
         if self.color && code > 0 { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() }
+    }
+
+    /// A name and what is said of it, in as many lines as that takes, each painted by itself.
+    pub fn listed(&self, name: &str, text: &str, color: u8) -> String {
+        let indent = name.chars().count() + 1;
+        let text = wrap(text, indent, WIDTH);
+        let lines = text.lines().enumerate().map(|(number, line)| {
+            let margin = if number == 0 { format!("{name} ") } else { " ".repeat(indent) };
+            format!("{margin}{}\n", self.paint(color, &line[indent..]))
+        });
+        lines.collect()
     }
 }
 

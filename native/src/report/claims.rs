@@ -261,6 +261,12 @@ impl Summary {
         }
     }
 
+    /// Over how many evaluations an end is a mean: «5 evaluations».
+    pub fn end_points(&self) -> String {
+        let made = self.config.parse::<Config>().map_or(END_POINTS, |config| config.evaluations as usize);
+        plural(made.min(END_POINTS) as u64, "evaluation")
+    }
+
     /// What the policy of Safe training is worth in the Full world before the first step there, in all legs alike.
     fn switch_line(&self) -> String {
         let Some(leg) = self.arms.iter().find(|leg| leg.arm != Arm::Safe) else { return String::new() };
@@ -286,9 +292,7 @@ impl Summary {
                 text += &self.switch_line();
             }
         }
-        let points =
-            self.config.parse::<Config>().map_or(END_POINTS, |config| END_POINTS.min(config.evaluations as usize));
-        let points = plural(points as u64, "evaluation");
+        let points = self.end_points();
         text += &format!("           mean of the last {points} [95 % bootstrap interval over seeds]\n");
         if let Some(verdicts) = &self.verdicts {
             text += &verdict_lines(verdicts);

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::{Cell, Repeats};
 
-/// Work per poll of a repeat.
+/// Work per poll of a check: less than any costs, so that no poll makes two.
 const BUDGET: Budget = Budget(16);
 
 /// Repeated checks of one seed.

@@ -22,6 +22,10 @@ const TRAINED: &[&str] = &["run.toml", "manifest.json", "summary.json", "curves.
 /// Files that reports write there.
 const REPORTED: &[&str] = &["report.html", "page.html"];
 
+fn is_own(name: &str) -> bool {
+    TRAINED.contains(&name) || REPORTED.contains(&name)
+}
+
 impl RunDir {
     /// The directory at `path`, which need not exist.
     pub fn new(path: impl Into<PathBuf>) -> Self {
@@ -148,8 +152,7 @@ impl RunDir {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if seed_of(&name).is_some() || name == EXPORTS {
                 fs::remove_dir_all(&path).map_err(RunsError::io("delete", &path))?;
-            } else if name != ".lock" && ([TRAINED, REPORTED].concat().contains(&name.as_str()) || is_temporary(&name))
-            {
+            } else if name != ".lock" && (is_own(&name) || is_temporary(&name)) {
                 fs::remove_file(&path).map_err(RunsError::io("delete", &path))?;
             }
         }

@@ -243,7 +243,7 @@ mod tests {
         assert!(verdict_words(&discard).starts_with("REFUSED: what surprises is discarded"));
         assert!(truth_words(&discard).ends_with("Refusing was right."));
         assert!(truth_words(&samples::discard(3, false)).contains("WRONG"));
-        let text = explain(&discard, &samples::spec(), 80, false);
+        let text = explain(&discard, None, &samples::spec(), 80, false);
         assert!(text.contains("REFUSED") && !text.contains("Rated") && !text.contains("rollouts"), "{text}");
         assert!(svg(&discard, &samples::spec()).contains("REFUSED"));
 
@@ -252,7 +252,7 @@ mod tests {
         assert!(verdict_words(&update).contains("it is taken back"));
         assert!(verdict_words(&samples::update(4, Verdict::Accept)).contains("the update stays"));
         assert!(truth_words(&update).contains("nothing is right or wrong"));
-        let text = explain(&update, &samples::spec(), 80, false);
+        let text = explain(&update, None, &samples::spec(), 80, false);
         assert!(text.contains("rollouts before it"), "{text}");
 
         let mut punished = samples::check(5, true, Verdict::Refuse);

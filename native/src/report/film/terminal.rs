@@ -53,11 +53,12 @@ impl Paint {
 }
 
 /// The check in full, at most `width` columns wide (80 suits a terminal; less than 40 counts as 40). A single
-/// board that is wider than that stays whole.
-pub fn explain(check: &CheckRecord, names: &EnvSpec, width: usize, colour: bool) -> String {
+/// board that is wider than that stays whole. The heading names the `seed`, where it has to be told from others.
+pub fn explain(check: &CheckRecord, seed: Option<u64>, names: &EnvSpec, width: usize, colour: bool) -> String {
     let (width, paint) = (width.max(NARROWEST), Paint { colour, arm: is_arm(names) });
     let heading = |text: &str| paint.put(Ink::Strong, text);
-    let mut out = heading(&format!("Check {} of {}, step {}", check.number, check.arm.name(), check.step));
+    let title = seed.map_or("Check".to_owned(), |seed| format!("Seed {seed}, check"));
+    let mut out = heading(&format!("{title} {} of {}, step {}", check.number, check.arm.name(), check.step));
     let _ = write!(out, "\n\n{}\n", heading("The offered transition"));
     out += &transition(check, names, width, &paint);
     out += &wrapped("  ", &surprise_words(check), width);
@@ -327,7 +328,7 @@ mod tests {
     use crate::report::samples;
 
     fn text(width: usize, hack: bool, verdict: Verdict) -> String {
-        explain(&samples::check(17, hack, verdict), &samples::spec(), width, false)
+        explain(&samples::check(17, hack, verdict), None, &samples::spec(), width, false)
     }
 
     #[test]
@@ -365,7 +366,7 @@ mod tests {
     #[test]
     fn colour_only_adds_to_what_is_said() {
         let check = samples::check(17, false, Verdict::Refuse);
-        let coloured = explain(&check, &samples::spec(), 80, true);
+        let coloured = explain(&check, None, &samples::spec(), 80, true);
         let mut plain = String::new();
         let mut rest = coloured.as_str();
         while let Some((before, after)) = rest.split_once("\u{1b}[") {
@@ -374,7 +375,7 @@ mod tests {
         }
         plain += rest;
         let trimmed: Vec<&str> = plain.lines().map(str::trim_end).collect();
-        let expected = explain(&check, &samples::spec(), 80, false);
+        let expected = explain(&check, None, &samples::spec(), 80, false);
         assert_eq!(trimmed, expected.lines().collect::<Vec<_>>());
         assert!(expected.contains("WRONG"));
     }
@@ -383,13 +384,13 @@ mod tests {
     fn pictures_fit_and_tell_what_they_leave_out() {
         let (check, spec) = (samples::reach(1), samples::reach_spec());
         for width in [60, 80] {
-            let text = explain(&check, &spec, width, false);
+            let text = explain(&check, None, &spec, width, false);
             let wide: Vec<&str> = text.lines().filter(|line| line.chars().count() > width).collect();
             assert!(wide.is_empty(), "{width}: {wide:#?}");
             assert!(text.lines().all(|line| line.trim_end() == line), "no trailing blanks");
             assert!(!text.contains(". ."), "no spaces between cells:\n{text}");
         }
-        let text = explain(&check, &spec, 80, false);
+        let text = explain(&check, None, &spec, 80, false);
         assert!(text.lines().count() <= 200, "{} lines", text.lines().count());
         let film = &check.modified.as_ref().unwrap().films[0];
         let sum = |from: usize, to: usize| signed(film.predicted[from..to].iter().sum());
@@ -435,6 +436,6 @@ mod tests {
     fn ledger_lines_without_films_are_explained_too() {
         let mut check = samples::check(1, true, Verdict::Accept);
         check = check.without_films();
-        assert!(explain(&check, &samples::spec(), 80, false).contains("not kept"));
+        assert!(explain(&check, None, &samples::spec(), 80, false).contains("not kept"));
     }
 }

@@ -181,12 +181,13 @@ fn results(summary: &Summary) -> String {
     };
     let rows: String = summary.arms.iter().map(row).collect();
     format!(
-        "<h2>Where each learner ends</h2>\n<p class=\"note\">Mean of the last 5 evaluations over seeds, raw reward per \
+        "<h2>Where each learner ends</h2>\n<p class=\"note\">Mean of the last {} over seeds, raw reward per \
          episode. Below it the 95 % bootstrap interval and the interquartile mean (IQM).</p>\n\
          <div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Results\"><table><thead><tr>\
          <th scope=\"col\">learner</th><th class=\"n\" scope=\"col\">observed return</th>\
          <th class=\"n\" scope=\"col\">performance</th><th class=\"n\" scope=\"col\">hacked</th>\
          </tr></thead><tbody>\n{rows}</tbody></table></div>\n{}{}",
+        summary.end_points(),
         seeds(summary),
         decisions(summary)
     )
