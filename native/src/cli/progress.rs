@@ -24,6 +24,13 @@ pub enum Style {
     None,
 }
 
+impl Style {
+    /// The same where several displays share stderr, which bars cannot.
+    pub fn in_lines(self) -> Self {
+        if self == Self::None { self } else { Self::Plain }
+    }
+}
+
 /// The first plain line comes after this, so that short runs stay silent and long ones are seen alive.
 const FIRST_LINE: Duration = Duration::from_secs(3);
 const NEXT_LINE: Duration = Duration::from_secs(30);
@@ -43,6 +50,8 @@ enum Display {
 /// Shows how a training run stands.
 pub struct Progress<'a> {
     plan: &'a Plan,
+    /// What plain lines begin with.
+    name: String,
     display: Display,
     begun: Instant,
     /// Work that was done before: a resumed run is not faster for it.
@@ -52,7 +61,7 @@ pub struct Progress<'a> {
 
 impl<'a> Progress<'a> {
     /// A display for the seeds of `plan`.
-    pub fn new(plan: &'a Plan, style: Style, terminal: &Terminal) -> Self {
+    pub fn new(plan: &'a Plan, name: String, style: Style, terminal: &Terminal) -> Self {
         let bars = match style {
             Style::Auto => io::stderr().is_terminal(),
             Style::Bar => true,
@@ -67,7 +76,7 @@ impl<'a> Progress<'a> {
         } else {
             Display::Plain { next: Instant::now() + FIRST_LINE }
         };
-        Self { plan, display, begun: Instant::now(), before: None, verbose: terminal.verbose }
+        Self { plan, name, display, begun: Instant::now(), before: None, verbose: terminal.verbose }
     }
 
     /// Shows how the seeds stand.
@@ -86,7 +95,7 @@ impl<'a> Progress<'a> {
             Display::Plain { next } => {
                 if Instant::now() >= *next {
                     *next = Instant::now() + NEXT_LINE;
-                    say(plain(self.plan, views, done / total, &eta));
+                    say(plain(&self.name, views, done / total, &eta));
                 }
             }
             Display::Bars { multi, total: bar_of_all, seeds } => {
@@ -144,8 +153,8 @@ fn show_seed(plan: &Plan, multi: &MultiProgress, total: &ProgressBar, view: &See
 }
 
 /// One line about everything.
-fn plain(plan: &Plan, views: &[SeedView], share: f64, eta: &str) -> String {
-    let mut line = format!("{}: {:.0} %, {eta}", plan.config.env, 100.0 * share);
+fn plain(name: &str, views: &[SeedView], share: f64, eta: &str) -> String {
+    let mut line = format!("{name}: {:.0} %, {eta}", 100.0 * share);
     for view in views.iter().filter(|view| !view.over && view.progress.is_some()) {
         line.push_str(&format!("; seed {} {}", view.seed, figures(view, false)));
     }

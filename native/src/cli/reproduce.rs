@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -173,27 +174,52 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     let remote = if open.is_empty() { None } else { arguments.pace.remote(terminal)? };
     let manner = arguments.manner(&folder, remote);
     let count = open.len();
-    for (number, (wanted, standing)) in (1..).zip(open) {
+    let work = |number: usize, wanted: &Wanted, standing: &Standing| {
         let setup = format!("{}, {}", wanted.plan.config, seeds_words(&standing.missing));
         terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
-        let ended = match wanted.cell.extent(arguments.quick) {
-            None => folder.train(wanted, &standing, arguments.quick, &manner, terminal),
+        match wanted.cell.extent(arguments.quick) {
+            None => folder.train(wanted, standing, arguments.quick, &manner, terminal),
             Some(_) => folder.measure(wanted, arguments.quick, &manner, terminal),
-        };
-        match ended {
-            Ok((record, finished)) => {
-                records.extend(record.map(|record| (wanted.cell.name.to_owned(), record)));
-                if !finished {
-                    end = Done::Interrupted;
-                    break;
-                }
+        }
+    };
+    let mut take = |cell: &Cell, ended: anyhow::Result<(Option<Record>, bool)>| match ended {
+        Ok((record, finished)) => {
+            records.extend(record.map(|record| (cell.name.to_owned(), record)));
+            if !finished {
+                end = Done::Interrupted;
             }
-            // The others do not depend on it, and its claims stay unmeasured.
-            Err(error) if matches!(error.downcast_ref(), Some(RunsError::Diverged { .. })) => {
-                terminal.note(format_args!("error: {}: {error:#}", wanted.cell.name));
+            Ok(finished)
+        }
+        // The others do not depend on it, and its claims stay unmeasured.
+        Err(error) if matches!(error.downcast_ref(), Some(RunsError::Diverged { .. })) => {
+            terminal.note(format_args!("error: {}: {error:#}", cell.name));
+            if end == Done::Well {
                 end = Done::DoesNotHold;
             }
-            Err(error) => return Err(error),
+            Ok(true)
+        }
+        Err(error) => Err(error),
+    };
+    let open = (1..).zip(&open);
+    if manner.beside {
+        // A card is filled by many seeds: those of all cells go there together.
+        let ended = thread::scope(|scope| {
+            let work = &work;
+            let started: Vec<_> = open
+                .map(|(number, (wanted, standing))| (wanted.cell, scope.spawn(move || work(number, wanted, standing))))
+                .collect();
+            let end = |(cell, thread): (_, thread::ScopedJoinHandle<'_, _>)| {
+                (cell, thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            };
+            started.into_iter().map(end).collect::<Vec<_>>()
+        });
+        // What the others finished is in their records, whatever became of one.
+        ended.into_iter().try_for_each(|(cell, ended)| take(cell, ended).map(drop))?;
+    } else {
+        for (number, (wanted, standing)) in open {
+            if !take(wanted.cell, work(number, wanted, standing))? {
+                break;
+            }
         }
     }
     let results = judge(&experiments, &records, arguments.quick, arguments.seeds.as_deref());
@@ -278,7 +304,8 @@ impl ReproduceArgs {
         if self.output.is_some() {
             add(&format!("-o {}", shell_word(&folder.0)));
         }
-        self.pace.manner(resume, remote)
+        let manner = self.pace.manner(resume, remote);
+        Manner { beside: manner.remote.is_some(), ..manner }
     }
 }
 

@@ -75,7 +75,15 @@ impl Pace {
     pub fn manner(&self, resume: String, remote: Option<Remote>) -> Manner {
         let deadline = self.max_time.and_then(|time| Instant::now().checked_add(time));
         let (threads, checkpoint_every, progress) = (self.threads(), self.checkpoint_every, self.progress);
-        Manner { threads, checkpoint_every, deadline, progress, resume: resume + &self.backend(), remote }
+        Manner {
+            threads,
+            checkpoint_every,
+            deadline,
+            progress,
+            resume: resume + &self.backend(),
+            remote,
+            beside: false,
+        }
     }
 
     /// The flags that name what forecasts, for the command that continues.
@@ -127,6 +135,8 @@ pub struct Manner {
     pub resume: String,
     /// Where forecasts go besides the processor.
     pub remote: Option<Remote>,
+    /// Other sessions work at the same time: progress in lines that name the folder.
+    pub beside: bool,
 }
 
 impl Manner {
@@ -220,6 +230,9 @@ impl Session {
         let Some(remote) = manner.remote.as_ref().filter(|_| !finished) else { return Ok(None) };
         let supported = remote.gpu().supports(&self.plan.config);
         let place = match &supported {
+            Ok(()) if remote.gpu().is_exact(&self.plan.config) => {
+                format!("{}, with the bits of the processor", remote.gpu().adapter())
+            }
             Ok(()) => remote.gpu().adapter().to_string(),
             Err(why) => {
                 terminal.note(format_args!("note: forecasts on the processor: {why}"));
@@ -237,7 +250,10 @@ impl Session {
         let before = self.manifest.state == State::Finished;
         let begun = Instant::now();
         let remote = self.remote(manner, before, terminal)?;
-        let mut progress = Progress::new(&self.plan, manner.progress, terminal);
+        let folder = self.run.path().file_name().map(|name| name.to_string_lossy().into_owned());
+        let name = folder.filter(|_| manner.beside).unwrap_or_else(|| self.plan.config.env.clone());
+        let style = if manner.beside { manner.progress.in_lines() } else { manner.progress };
+        let mut progress = Progress::new(&self.plan, name, style, terminal);
         let jobs = std::mem::take(&mut self.jobs);
         let outcomes = runs::train(jobs, manner.threads, remote, &manner.control(), |views| progress.tick(views));
         progress.finish();

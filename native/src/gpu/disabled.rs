@@ -57,6 +57,11 @@ impl Gpu {
         match *self {}
     }
 
+    /// Whether its futures are the processor's to the bit.
+    pub fn is_exact(&self, _config: &Config) -> bool {
+        match *self {}
+    }
+
     /// Lets a run forecast there.
     pub fn equip(&self, _run: &mut Run) -> Option<Seat> {
         match *self {}

@@ -3,12 +3,12 @@
 //!
 //! Runs are trained on the processor as ever; only the futures of their checks go to the card. A [`Gpu`] has one
 //! thread that owns the device. Runs that were [equipped](Gpu::equip) hand it their jobs and are told to wait; the
-//! thread gathers the jobs of all of them into batches, one per kind of learner, and trains every network of a
-//! batch at once, in slices short enough for any driver's watchdog.
+//! thread trains the networks of all of them at once, in slices short enough for any driver's watchdog.
 //!
-//! A card is an arithmetic of its own: it may fuse multiply-adds and divides within an ulp or two. Only the jobs
-//! and their random numbers are the processor's to the bit. What a device cannot do ([`Gpu::supports`]) stays on the
-//! processor.
+//! Jobs and their random numbers are the processor's to the bit. So are the futures of DDQN learners on devices whose
+//! arithmetic can be made to round as a processor does ([`Gpu::is_exact`]; found out when the device is opened).
+//! Elsewhere a card is an arithmetic of its own: it may fuse multiply-adds and divides within an ulp or two. What a
+//! device cannot do ([`Gpu::supports`]) stays on the processor.
 
 #[cfg(any(test, not(feature = "gpu")))]
 mod disabled;

@@ -37,12 +37,16 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
         }
     }
     let peak = gpu::peak(arguments.adapter.as_deref(), arguments.time)?;
+    let exact = worlds
+        .first()
+        .map_or(Ok(false), |env| Ok::<_, ConfigError>(device.is_exact(&Config::new(env, Preset::Paper)?)))?;
     let cores = thread::available_parallelism().map_or(1, usize::from);
     if !arguments.json {
         let (most, bytes) = (short(peak.multiply_adds), short(peak.bytes_moved));
+        let bits = if exact { "the bits of the processor" } else { "an arithmetic of its own" };
         let note = "share: multiply-adds of the dense definition, of which one-hot inputs and equal states save some";
         let text = format!(
-            "{}; at most {most} multiply-adds/s, {}B/s; {note}; memory: parameters and moments of all inputs, read and written once",
+            "{}; {bits}; at most {most} multiply-adds/s, {}B/s; {note}; memory: parameters and moments of all inputs, read and written once",
             device.adapter(),
             bytes.trim_end()
         );
@@ -106,7 +110,7 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
     if arguments.json {
         let value = json!({
             "adapter": { "name": device.adapter().name, "driver": device.adapter().driver,
-                         "software": device.adapter().software },
+                         "software": device.adapter().software, "exact": exact },
             "cores": cores,
             "multiply_adds_per_second": peak.multiply_adds,
             "bytes_per_second": peak.bytes_moved,

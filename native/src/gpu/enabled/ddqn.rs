@@ -10,23 +10,40 @@ use mcvl_core::config::{Config, Forced as ForcedKind};
 use mcvl_core::forecast::ForecastJob;
 use mcvl_core::nn::optim::{BETA1, BETA2, EPSILON};
 use mcvl_core::replay::{Forced, NO_ROW};
-use wgpu::{Buffer, CommandEncoder, ComputePipeline};
 
-use super::super::GpuError;
-use super::device::Device;
-use super::transfer::{Parts, Returns, draws, record};
-use super::worker::Training;
+use super::arithmetic::exactly;
+use super::transfer::{draws, record};
 
 /// Samples of a mini-batch at most, forced ones included; `SAMPLES` of the kernel.
 pub const SAMPLES: u32 = 64;
-/// Invocations of a workgroup, and rows that one of them sums side by side: `THREADS` and `TILE` of the kernel.
-pub const THREADS: u32 = 128;
-pub const TILE: u32 = 16;
+/// Columns of a tile of a product, one per invocation of a group; groups of a workgroup at most; rows of each; terms
+/// in workgroup memory at a time; inputs whose samples are known at a time: constants of the kernel.
+pub const LANES: u32 = 128;
+pub const GROUPS: u32 = 8;
+pub const ROWS: u32 = 8;
+pub const DEPTH: u32 = 16;
+pub const INPUTS: u32 = 64;
 /// Forced transitions of a check at most, in the way that appends the episode's last ones.
 const TAIL: u32 = 11;
 
 /// The kernel.
-pub const SOURCE: &str = include_str!("ddqn.wgsl");
+pub const SOURCE: &str = exactly!("ddqn.wgsl");
+
+record! {
+    /// `Span` of the kernel.
+    Span {
+        first: u32,
+        count: u32,
+        nothing: f32,
+    }
+}
+
+impl Span {
+    /// The updates `first..first + count`.
+    pub fn new(first: u32, count: u32) -> Self {
+        Self { first, count, nothing: -0.0 }
+    }
+}
 
 record! {
     /// `Job` of the kernel.
@@ -59,6 +76,7 @@ record! {
         epsilon: f32,
         shrink: f32,
         clip: f32,
+        share: f32,
         amsgrad: u32,
     }
 }
@@ -229,6 +247,7 @@ impl Packed {
             epsilon: EPSILON,
             shrink: settings.shrink(),
             clip: if settings.clip > 0.0 { settings.clip } else { f32::MAX },
+            share: 1.0 / (job.batch as usize + job.forced.len()) as f32,
             amsgrad: u32::from(settings.amsgrad()),
             ..Job::default()
         };
@@ -240,34 +259,81 @@ impl Packed {
         self.job.updates
     }
 
-    /// Working memory of the kernel, in numbers: activations of both networks, derivatives, and the gradient of the
-    /// first layer, in the order of `Work`.
-    fn work(&self) -> u32 {
-        let Job { inputs, hidden, outputs, .. } = self.job;
-        SAMPLES * (8 * hidden + 4 * outputs) + inputs * hidden
+    /// Working memory of the kernel, in numbers: activations of both networks and derivatives, in the order of `Work`.
+    pub fn work(&self) -> u32 {
+        let Job { hidden, outputs, .. } = self.job;
+        SAMPLES * (8 * hidden + 4 * outputs)
     }
 
-    /// Turns of the loops of one invocation in one update, at most; loops of constant length are unrolled.
+    /// Turns of the loops of one invocation in one update, at most, where a workgroup is one group.
     pub fn loops(&self) -> u32 {
         let Job { inputs, hidden, outputs, drawn, forced, .. } = self.job;
         let samples = drawn + forced;
-        let parts = |count: u32| count.div_ceil(THREADS);
-        let blocks = |count: u32| count.div_ceil(TILE);
+        let parts = |count: u32| 1 + count.div_ceil(LANES);
         let most = self.common.rows.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0);
-        // By rows: the first layer, the second, the outputs; forwards, and for the second layer backwards.
-        let first = |rows: u32| parts(hidden) * (1 + rows * (2 + most));
-        let second = |rows: u32| (1 + blocks(rows)) * (2 + parts(hidden)) * (2 + parts(hidden) + hidden + 2 * TILE);
-        let last = |rows: u32| (1 + parts(rows * outputs)) * (2 + hidden);
-        let rows = 2 * samples;
-        let forward = first(rows) + second(rows) + last(rows) + first(samples) + second(samples) + last(samples);
-        let loss = 8 * SAMPLES + (1 + parts(samples * outputs)) * (2 + samples) + 2 * outputs;
-        let backward = 2 * second(samples);
-        let tiles = |inputs: u32| (1 + blocks(inputs)) * (1 + parts(hidden)) * (3 + samples + SAMPLES * TILE / THREADS);
-        let steps = tiles(hidden)
-            + (1 + parts(hidden * outputs)) * (2 + samples)
-            + parts(hidden) * (2 * inputs + samples * (2 + most))
-            + 3 * (1 + parts(hidden)) * (2 + samples);
-        forward + loss + backward + steps
+        // Sums of `terms` for `rows` rows of `columns` columns, by tiles: what is brought, and what is added.
+        let block = 1 + DEPTH * ROWS / 4 / LANES + 1 + DEPTH + 1 + DEPTH;
+        let tiles = |rows: u32, columns: u32, terms: u32| {
+            (1 + rows.div_ceil(ROWS)) * parts(columns) * (1 + terms.div_ceil(DEPTH)) * block
+        };
+        let few = |count: u32, terms: u32| parts(count) * (2 + terms);
+        let product = |rows: u32, columns: u32, terms: u32| {
+            if columns < ROWS { few(rows * columns, terms) } else { tiles(rows, columns, terms) }
+        };
+        // By rows: the first layer, the second, the outputs.
+        let forward =
+            |rows: u32| few(rows * hidden, most) + product(rows, hidden, hidden) + product(rows, outputs, hidden);
+        let loss = 8 * SAMPLES + few(samples * outputs, samples) + 2 * outputs;
+        let backward = product(samples, hidden, outputs) + product(samples, hidden, hidden);
+        let members = 4 * (2 * 2 + SAMPLES);
+        let first = (1 + inputs.div_ceil(INPUTS)) * (4 + most + parts(hidden * INPUTS.div_ceil(4)) * members);
+        let steps = product(hidden, outputs, samples)
+            + product(hidden, hidden, samples)
+            + first
+            + 2 * few(hidden, samples)
+            + few(outputs, samples);
+        forward(2 * samples) + forward(samples) + loss + backward + steps
+    }
+
+    /// Whether both learn from the same.
+    pub fn is_of_the_check_of(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.common, &other.common)
+    }
+
+    /// What the jobs of a check have in common, as it lies on the device.
+    pub fn shared(&self) -> [&[u32]; 4] {
+        let Common { columns, rows, ones, draws, .. } = &*self.common;
+        [columns, rows, ones, draws]
+    }
+
+    /// What only this job has beside its numbers, as it lies on the device.
+    pub fn own(&self) -> [&[u32]; 2] {
+        [&self.extra, &self.corrections]
+    }
+
+    /// Parameters, target and moments.
+    pub fn numbers(&self) -> &[f32] {
+        &self.memory
+    }
+
+    /// What the kernel reads of a job that lies at these offsets: its numbers, what it shares, what it has alone.
+    pub fn placed(&self, memory: u32, [columns, rows, ones, draws]: [u32; 4], [extra, corrections]: [u32; 2]) -> Job {
+        let base = self.job;
+        Job {
+            online: memory + base.online,
+            goal: memory + base.goal,
+            first: memory + base.first,
+            second: memory + base.second,
+            largest: memory + base.largest,
+            work: memory + base.work,
+            columns,
+            extra,
+            rows,
+            ones,
+            draws,
+            corrections,
+            ..base
+        }
     }
 
     /// Bytes of the two large buffers. What jobs share is counted with each.
@@ -303,106 +369,5 @@ impl Packed {
         optimizer.take_over(self.job.updates, [first, second, largest]);
         self.touched.iter().for_each(|&input| optimizer.touch(input));
         agent
-    }
-}
-
-/// The kernel on a device.
-#[derive(Debug)]
-pub struct Kernel(ComputePipeline);
-
-impl Kernel {
-    /// Builds the kernel.
-    pub fn new(device: &Device) -> Self {
-        Self(device.pipeline("ddqn", SOURCE))
-    }
-}
-
-/// Jobs that train side by side.
-#[derive(Debug)]
-pub struct Batch {
-    pipeline: ComputePipeline,
-    bindings: wgpu::BindGroup,
-    span: Buffer,
-    /// Parameters, target and moments of each job.
-    returns: Returns,
-    updates: u32,
-    /// Turns of loops in one update of the longest job.
-    loops: u32,
-}
-
-impl Batch {
-    /// Brings jobs to the device.
-    pub fn new(device: &Device, kernel: &Kernel, packed: &[Arc<Packed>]) -> Self {
-        let (mut jobs, mut memory, mut data) = (Vec::new(), 0u32, Parts::default());
-        let mut placed: BTreeMap<*const Common, [u32; 4]> = BTreeMap::new();
-        let mut places = Vec::new();
-        for job in packed {
-            let common = &job.common;
-            let [columns, rows, ones, draws] = *placed.entry(Arc::as_ptr(common)).or_insert_with(|| {
-                [&common.columns, &common.rows, &common.ones, &common.draws].map(|part| data.add(part))
-            });
-            let (extra, corrections) = (data.add(&job.extra), data.add(&job.corrections));
-            let base = job.job;
-            jobs.push(Job {
-                online: memory + base.online,
-                goal: memory + base.goal,
-                first: memory + base.first,
-                second: memory + base.second,
-                largest: memory + base.largest,
-                work: memory + base.work,
-                columns,
-                extra,
-                rows,
-                ones,
-                draws,
-                corrections,
-                ..base
-            });
-            places.push((memory, job.memory.len() as u32));
-            memory += job.memory.len() as u32 + job.work();
-        }
-        let buffer = device.buffer("ddqn memory", 4 * u64::from(memory), &[]);
-        for (job, (at, _)) in packed.iter().zip(&places) {
-            device.write(&buffer, 4 * u64::from(*at), bytemuck::must_cast_slice(&job.memory));
-        }
-        let described = device.buffer("ddqn jobs", 0, bytemuck::must_cast_slice(&jobs));
-        let data = data.bring(device, "ddqn data");
-        let failures = device.buffer("ddqn failures", 4 * jobs.len() as u64, &[]);
-        let span = device.uniform("ddqn span", 8);
-        let layout = kernel.0.get_bind_group_layout(0);
-        let bindings = device.bind("ddqn", &layout, &[&described, &data, &buffer, &failures, &span]);
-        let updates = packed.iter().map(|job| job.job.updates).max().unwrap_or(0);
-        let loops = packed.iter().map(|job| job.loops()).max().unwrap_or(1);
-        Self {
-            pipeline: kernel.0.clone(),
-            bindings,
-            span,
-            returns: Returns::new(buffer, failures, places),
-            updates,
-            loops,
-        }
-    }
-}
-
-impl Training for Batch {
-    fn updates(&self) -> u32 {
-        self.updates
-    }
-
-    fn longest_slice(&self, limit: Option<u32>) -> u32 {
-        limit.map_or(u32::MAX, |limit| (limit / self.loops).max(1))
-    }
-
-    fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32) {
-        device.write(&self.span, 0, bytemuck::must_cast_slice(&[first, count]));
-        let mut pass =
-            commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("ddqn"), timestamp_writes: None });
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.bindings, &[]);
-        pass.dispatch_workgroups(self.returns.jobs(), 1, 1);
-    }
-
-    fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
-        self.returns.read(device)
     }
 }

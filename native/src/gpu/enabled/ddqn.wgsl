@@ -1,16 +1,28 @@
-// Updates of Double DQN learners (twin: core/src/agent/ddqn.rs): one workgroup trains one network, many
-// updates per dispatch. Every sum has the twin's order and nothing is fused here; a compiler of the device may
-// fuse, so a graphics card is an arithmetic of its own.
+// Updates of Double DQN learners (twin: core/src/agent/ddqn.rs): one workgroup trains one network, many updates per
+// dispatch. Every sum has the twin's order, and the arithmetic is that of exact.wgsl, which stands in front.
 //
 // Everything of a network lies in `memory`, from the offsets that its job names: live parameters, target
-// parameters, moments, the gradient of the first layer, activations. Networks have two hidden layers; their
-// first layer has only the inputs that are ever one in the data at hand.
+// parameters, moments, activations. Networks have two hidden layers; their first layer has only the inputs that
+// are ever one in the data at hand.
 
-const THREADS = 128u;
+/// Invocations of a workgroup: a multiple of `LANES`, up to `GROUPS` times it.
+override THREADS: u32 = 128u;
 /// Samples of a mini-batch at most, forced ones included.
 const SAMPLES = 64u;
-/// Rows of a product that a thread sums side by side.
-const TILE = 16u;
+/// Columns of a tile of a product: one per invocation of a group.
+const LANES = 128u;
+/// Groups of a workgroup at most.
+const GROUPS = 8u;
+/// Rows of a tile that an invocation sums side by side: each group has its own.
+const ROWS = 8u;
+/// Terms of the sums that lie in workgroup memory at a time.
+const DEPTH = 16u;
+/// Distances there from term to term, in fours of rows, and in columns: one more than there are, so that neighbours
+/// have banks of their own.
+const FOURS = GROUPS * ROWS / 4u;
+const RIGHT_STEP = LANES + 1u;
+/// Inputs of the first layer whose samples are known at a time.
+const INPUTS = 64u;
 /// No row: the next state of a terminated transition.
 const NO_ROW = 0xffffffffu;
 /// Moments below these become zero, as in the twin of the optimiser (core/src/nn/optim.rs).
@@ -56,14 +68,18 @@ struct Job {
     epsilon: f32,
     shrink: f32,
     clip: f32,
+    /// Share of a sample in the loss.
+    share: f32,
     /// 1 where the largest second moment divides (AMSGrad).
     amsgrad: u32,
 }
 
-/// Updates of this dispatch.
+/// Updates of a job in a dispatch.
 struct Span {
     first: u32,
     count: u32,
+    /// Negative zero.
+    nothing: f32,
 }
 
 @group(0) @binding(0) var<storage, read> jobs: array<Job>;
@@ -71,13 +87,14 @@ struct Span {
 @group(0) @binding(2) var<storage, read_write> memory: array<f32>;
 /// Per job: 1 + the first update whose loss was no finite number, 0 without.
 @group(0) @binding(3) var<storage, read_write> failures: array<u32>;
-@group(0) @binding(4) var<uniform> span: Span;
+/// What each job does in this dispatch.
+@group(0) @binding(4) var<storage, read> spans: array<Span>;
 
 var<workgroup> state_id: array<u32, SAMPLES>;
 var<workgroup> next_id: array<u32, SAMPLES>;
 var<workgroup> action: array<u32, SAMPLES>;
 var<workgroup> reward: array<f32, SAMPLES>;
-/// First sample with the same observation.
+/// First sample with the same observation; later the loss of a sample.
 var<workgroup> state_first: array<u32, SAMPLES>;
 var<workgroup> next_first: array<u32, SAMPLES>;
 /// Rows of the samples, numbered by first appearance: distinct states, then next states that are none.
@@ -89,10 +106,16 @@ var<workgroup> row_id: array<u32, 2 * SAMPLES>;
 var<workgroup> goal_id: array<u32, SAMPLES>;
 /// Distinct states, distinct rows, distinct next states.
 var<workgroup> counts: array<u32, 3>;
-var<workgroup> loss: array<f32, SAMPLES>;
 var<workgroup> slope: array<f32, SAMPLES>;
-/// Rows of a product's left matrix.
-var<workgroup> left: array<f32, TILE * THREADS>;
+/// Parts of the two matrices of a product, term by term: fours of rows, and columns.
+var<workgroup> left: array<vec4<f32>, DEPTH * FOURS>;
+var<workgroup> right: array<f32, DEPTH * RIGHT_STEP>;
+/// Which states have an input that is one: bits, two words per input.
+var<workgroup> members: array<atomic<u32>, 2 * INPUTS>;
+
+/// Sums of the rows of an invocation.
+var<private> low: vec4<f32>;
+var<private> high: vec4<f32>;
 
 /// Where the parts of a network's parameters begin, relative to the first.
 struct Layout {
@@ -125,7 +148,6 @@ struct Work {
     delta3: u32,
     delta2: u32,
     delta1: u32,
-    gradient1: u32,
 }
 
 fn work_of(job: Job) -> Work {
@@ -138,10 +160,7 @@ fn work_of(job: Job) -> Work {
     let goal_values = goal2 + SAMPLES * job.hidden;
     let delta3 = goal_values + SAMPLES * job.outputs;
     let delta2 = delta3 + SAMPLES * job.outputs;
-    let delta1 = delta2 + SAMPLES * job.hidden;
-    return Work(
-        hidden1, hidden2, values, goal1, goal2, goal_values, delta3, delta2, delta1, delta1 + SAMPLES * job.hidden,
-    );
+    return Work(hidden1, hidden2, values, goal1, goal2, goal_values, delta3, delta2, delta2 + SAMPLES * job.hidden);
 }
 
 /// Reads a mini-batch and numbers its distinct observations.
@@ -249,21 +268,38 @@ fn relu(x: f32) -> f32 {
 /// The first layer on `count` rows of zeros and ones: sums of the rows of its weights. `goal` says which
 /// observations.
 fn sum_rows(job: Job, params: u32, bias: u32, goal: bool, count: u32, out: u32, thread: u32) {
-    for (var column = thread; column < job.hidden; column += THREADS) {
-        for (var row = 0u; row < count; row += 1u) {
-            var id: u32;
-            if goal {
-                id = goal_id[row];
-            } else {
-                id = row_id[row];
-            }
-            var sum = memory[bias + column];
-            let end = job.ones + data[job.rows + id + 1u];
-            for (var at = job.ones + data[job.rows + id]; at < end; at += 1u) {
-                sum += memory[params + data[at] * job.hidden + column];
-            }
-            memory[out + row * job.hidden + column] = relu(sum);
+    for (var at = thread; at < count * job.hidden; at += THREADS) {
+        let row = at / job.hidden;
+        let column = at % job.hidden;
+        var id: u32;
+        if goal {
+            id = goal_id[row];
+        } else {
+            id = row_id[row];
         }
+        var sum = memory[bias + column];
+        var one = job.ones + data[job.rows + id];
+        let end = job.ones + data[job.rows + id + 1u];
+        let weights = params + column;
+        // Eight at a time are on their way.
+        for (; one + 7u < end; one += 8u) {
+            let low_places = vec4<u32>(data[one], data[one + 1u], data[one + 2u], data[one + 3u]);
+            let high_places = vec4<u32>(data[one + 4u], data[one + 5u], data[one + 6u], data[one + 7u]);
+            let low_weights = four(weights, low_places * job.hidden);
+            let high_weights = four(weights, high_places * job.hidden);
+            sum += low_weights.x;
+            sum += low_weights.y;
+            sum += low_weights.z;
+            sum += low_weights.w;
+            sum += high_weights.x;
+            sum += high_weights.y;
+            sum += high_weights.z;
+            sum += high_weights.w;
+        }
+        for (; one < end; one += 1u) {
+            sum += memory[weights + data[one] * job.hidden];
+        }
+        memory[out + at] = relu(sum);
     }
     storageBarrier();
     workgroupBarrier();
@@ -285,19 +321,89 @@ fn finished(sum: f32, finish: u32, gate: u32) -> f32 {
     return sum;
 }
 
+/// Adds `depth` terms in workgroup memory to the sums of an invocation's rows.
+fn accumulate(depth: u32, group: u32, lane: u32) {
+    let rows = group * (ROWS / 4u);
+    var k = 0u;
+    for (; k + 3u < depth; k += 4u) {
+        add_term(k, rows, lane);
+        add_term(k + 1u, rows, lane);
+        add_term(k + 2u, rows, lane);
+        add_term(k + 3u, rows, lane);
+    }
+    for (; k < depth; k += 1u) {
+        add_term(k, rows, lane);
+    }
+}
+
+fn add_term(k: u32, rows: u32, lane: u32) {
+    let factor = vec4<f32>(right[k * RIGHT_STEP + lane]);
+    low += times4(left[k * FOURS + rows], factor);
+    high += times4(left[k * FOURS + rows + 1u], factor);
+}
+
+/// Brings `depth` terms of up to `LANES` columns from `edge` on to workgroup memory: B from the offset of their first
+/// term on, with these distances from term to term and from column to column.
+fn bring_right(b: u32, depth: u32, step: u32, stride: u32, edge: u32, columns: u32, thread: u32) {
+    for (var at = thread; at < DEPTH * LANES; at += THREADS) {
+        // Neighbours in memory are read by neighbours.
+        let by_term = step == 1u;
+        let k = select(at / LANES, at % DEPTH, by_term);
+        let lane = select(at % LANES, at / DEPTH, by_term);
+        var number = 0.0;
+        if k < depth && edge + lane < columns {
+            number = memory[b + k * step + (edge + lane) * stride];
+        }
+        right[k * RIGHT_STEP + lane] = number;
+    }
+}
+
+/// Brings `depth` terms of the rows of all groups, from `top` on, to workgroup memory: A from the offset of their
+/// first term on, with these distances from row to row and from term to term.
+fn bring_left(a: u32, depth: u32, step: u32, stride: u32, top: u32, count: u32, thread: u32) {
+    let fours = THREADS / LANES * (ROWS / 4u);
+    for (var at = thread; at < DEPTH * fours; at += THREADS) {
+        let by_term = stride == 1u;
+        let k = select(at / fours, at % DEPTH, by_term);
+        let four = select(at % fours, at / DEPTH, by_term);
+        let row = top + 4u * four;
+        if k < depth && row < count {
+            // Rows behind the last are read as the last, and their sums are of no use.
+            let last = count - 1u;
+            let term = a + k * stride;
+            left[k * FOURS + four] = vec4<f32>(
+                memory[term + row * step],
+                memory[term + min(row + 1u, last) * step],
+                memory[term + min(row + 2u, last) * step],
+                memory[term + min(row + 3u, last) * step],
+            );
+        }
+    }
+}
+
+/// Writes the finished sums of up to four rows, the first of `rows` that there are, at this distance.
+fn put_sums(sums: vec4<f32>, rows: u32, step: u32, out: u32, finish: u32, gate: u32) {
+    memory[out] = finished(sums.x, finish, gate);
+    if rows > 1u {
+        memory[out + step] = finished(sums.y, finish, gate + step);
+    }
+    if rows > 2u {
+        memory[out + 2u * step] = finished(sums.z, finish, gate + 2u * step);
+    }
+    if rows > 3u {
+        memory[out + 3u * step] = finished(sums.w, finish, gate + 3u * step);
+    }
+}
+
 /// `out = start + A·B` with A `[count, inner]` and B `[inner, columns]`, or Bᵀ `[columns, inner]` where
 /// `transposed`; `start` is the bias, or zero for `NO_ROW`.
 fn product(
     a: u32, count: u32, inner: u32, b: u32, columns: u32, transposed: bool, start: u32, out: u32, finish: u32, gate: u32,
     thread: u32,
 ) {
-    var step = columns;
-    var stride = 1u;
-    if transposed {
-        step = 1u;
-        stride = inner;
-    }
-    if columns < TILE {
+    let step = select(columns, 1u, transposed);
+    let stride = select(1u, inner, transposed);
+    if columns < ROWS {
         // A sum per thread: few columns.
         for (var at = thread; at < count * columns; at += THREADS) {
             let row = at / columns;
@@ -306,51 +412,52 @@ fn product(
             if start != NO_ROW {
                 sum = memory[start + column];
             }
-            for (var k = 0u; k < inner; k += 1u) {
-                let term = memory[a + row * inner + k] * memory[b + k * step + column * stride];
-                sum += term;
+            let x = a + row * inner;
+            let y = b + column * stride;
+            var k = 0u;
+            for (; k + 3u < inner; k += 4u) {
+                let first = times(memory[x + k], memory[y + k * step]);
+                let second = times(memory[x + k + 1u], memory[y + (k + 1u) * step]);
+                let third = times(memory[x + k + 2u], memory[y + (k + 2u) * step]);
+                let fourth = times(memory[x + k + 3u], memory[y + (k + 3u) * step]);
+                sum += first;
+                sum += second;
+                sum += third;
+                sum += fourth;
+            }
+            for (; k < inner; k += 1u) {
+                sum += times(memory[x + k], memory[y + k * step]);
             }
             memory[out + at] = finished(sum, finish, gate + at);
         }
     } else {
-        for (var top = 0u; top < count; top += TILE) {
-            let rows = min(TILE, count - top);
-            for (var edge = 0u; edge < columns; edge += THREADS) {
-                let column = edge + thread;
-                var sums: array<f32, TILE>;
-                for (var r = 0u; r < TILE; r += 1u) {
-                    sums[r] = 0.0;
-                    if start != NO_ROW && column < columns {
-                        sums[r] = memory[start + column];
+        let lane = thread % LANES;
+        let group = thread / LANES;
+        for (var top = 0u; top < count; top += THREADS / LANES * ROWS) {
+            let row = top + group * ROWS;
+            for (var edge = 0u; edge < columns; edge += LANES) {
+                let column = edge + lane;
+                low = vec4<f32>(0.0);
+                if start != NO_ROW && column < columns {
+                    low = vec4<f32>(memory[start + column]);
+                }
+                high = low;
+                for (var block = 0u; block < inner; block += DEPTH) {
+                    let depth = min(DEPTH, inner - block);
+                    workgroupBarrier();
+                    bring_left(a + block, depth, inner, 1u, top, count, thread);
+                    bring_right(b + block * step, depth, step, stride, edge, columns, thread);
+                    workgroupBarrier();
+                    if row < count {
+                        accumulate(depth, group, lane);
                     }
                 }
-                for (var block = 0u; block < inner; block += THREADS) {
-                    let depth = min(THREADS, inner - block);
-                    workgroupBarrier();
-                    for (var at = thread; at < TILE * depth; at += THREADS) {
-                        let row = at / depth;
-                        let k = at % depth;
-                        var x = 0.0;
-                        if row < rows {
-                            x = memory[a + (top + row) * inner + block + k];
-                        }
-                        left[k * TILE + row] = x;
-                    }
-                    workgroupBarrier();
-                    if column < columns {
-                        for (var k = 0u; k < depth; k += 1u) {
-                            let right = memory[b + (block + k) * step + column * stride];
-                            for (var r = 0u; r < TILE; r += 1u) {
-                                let term = left[k * TILE + r] * right;
-                                sums[r] += term;
-                            }
-                        }
-                    }
-                }
-                if column < columns {
-                    for (var r = 0u; r < rows; r += 1u) {
-                        let at = (top + r) * columns + column;
-                        memory[out + at] = finished(sums[r], finish, gate + at);
+                if column < columns && row < count {
+                    let at = row * columns + column;
+                    put_sums(low, count - row, columns, out + at, finish, gate + at);
+                    if row + 4u < count {
+                        let next = at + 4u * columns;
+                        put_sums(high, count - row - 4u, columns, out + next, finish, gate + next);
                     }
                 }
             }
@@ -360,29 +467,59 @@ fn product(
     workgroupBarrier();
 }
 
-/// One step of the optimiser on parameter `index`, then of its moving average (twin: core/src/nn/optim.rs).
-fn step_parameter(job: Job, corrections: vec2<f32>, index: u32, raw: f32) {
-    let low = select(raw, -job.clip, raw < -job.clip);
-    let gradient = select(low, job.clip, low > job.clip);
-    let kept_first = job.keep_first * memory[job.first + index];
-    let a = kept_first + job.add_first * gradient;
-    let kept_second = job.keep_second * memory[job.second + index];
-    let b = kept_second + job.add_second * (gradient * gradient);
-    let moment = select(a, 0.0, a < TINY_FIRST && a > -TINY_FIRST);
-    let square = select(b, 0.0, b < TINY_SECOND);
-    memory[job.first + index] = moment;
-    memory[job.second + index] = square;
+/// Numbers of `memory` at four indices.
+fn four(at: u32, index: vec4<u32>) -> vec4<f32> {
+    let place = at + index;
+    return vec4<f32>(memory[place.x], memory[place.y], memory[place.z], memory[place.w]);
+}
+
+fn put_four(at: u32, index: vec4<u32>, count: u32, numbers: vec4<f32>) {
+    memory[at + index.x] = numbers.x;
+    if count > 1u {
+        memory[at + index.y] = numbers.y;
+    }
+    if count > 2u {
+        memory[at + index.z] = numbers.z;
+    }
+    if count > 3u {
+        memory[at + index.w] = numbers.w;
+    }
+}
+
+/// One step of the optimiser on `count` parameters, at most four, of which the first is `first` and the next ones
+/// follow at this distance; then of their moving averages (twin: core/src/nn/optim.rs).
+fn step_parameters(job: Job, corrections: vec2<f32>, first: u32, stride: u32, count: u32, raw: vec4<f32>) {
+    let index = first + stride * min(vec4<u32>(0u, 1u, 2u, 3u), vec4<u32>(count - 1u));
+    // All that is read, before anything is written: it is on its way together.
+    let first_moment = four(job.first, index);
+    let second_moment = four(job.second, index);
+    var largest = second_moment;
+    if job.amsgrad == 1u {
+        largest = four(job.largest, index);
+    }
+    let parameter = four(job.online, index);
+    let average = four(job.goal, index);
+
+    let clip = vec4<f32>(job.clip);
+    let bounded = select(raw, -clip, raw < -clip);
+    let gradient = select(bounded, clip, bounded > clip);
+    let a = times4(vec4<f32>(job.keep_first), first_moment) + times4(vec4<f32>(job.add_first), gradient);
+    let b = times4(vec4<f32>(job.keep_second), second_moment)
+        + times4(vec4<f32>(job.add_second), times4(gradient, gradient));
+    let moment = select(a, vec4<f32>(0.0), abs(a) < vec4<f32>(TINY_FIRST));
+    let square = select(b, vec4<f32>(0.0), b < vec4<f32>(TINY_SECOND));
     var under = square;
     if job.amsgrad == 1u {
-        under = max(square, memory[job.largest + index]);
-        memory[job.largest + index] = under;
+        under = max(square, largest);
+        put_four(job.largest, index, count, under);
     }
-    let denominator = sqrt(under) * corrections.y + job.epsilon;
-    let shrunk = memory[job.online + index] * job.shrink;
-    let value = shrunk - corrections.x * moment / denominator;
-    memory[job.online + index] = value;
-    let average = memory[job.goal + index];
-    memory[job.goal + index] = average + job.tau * (value - average);
+    let denominator = times4(root4(under), vec4<f32>(corrections.y)) + job.epsilon;
+    let shrunk = times4(parameter, vec4<f32>(job.shrink));
+    let value = shrunk - quotient4(times4(vec4<f32>(corrections.x), moment), denominator);
+    put_four(job.first, index, count, moment);
+    put_four(job.second, index, count, square);
+    put_four(job.online, index, count, value);
+    put_four(job.goal, index, count, average + times4(vec4<f32>(job.tau), value - average));
 }
 
 /// Steps on the weights `[inputs, columns]` from parameter `at` on, whose gradient is `Xᵀ·delta` over `count`
@@ -390,46 +527,43 @@ fn step_parameter(job: Job, corrections: vec2<f32>, index: u32, raw: f32) {
 fn step_layer(
     job: Job, corrections: vec2<f32>, x: u32, inputs: u32, delta: u32, columns: u32, count: u32, at: u32, thread: u32,
 ) {
-    if columns < TILE {
+    if columns < ROWS {
         // A sum per thread: few columns.
         for (var index = thread; index < inputs * columns; index += THREADS) {
             let row = index / columns;
             let column = index % columns;
             var sum = 0.0;
             for (var sample = 0u; sample < count; sample += 1u) {
-                let term = memory[x + sample * inputs + row] * memory[delta + sample * columns + column];
-                sum += term;
+                sum += times(memory[x + sample * inputs + row], memory[delta + sample * columns + column]);
             }
-            step_parameter(job, corrections, at + index, sum);
+            step_parameters(job, corrections, at + index, 0u, 1u, vec4<f32>(sum));
         }
     } else {
-        for (var top = 0u; top < inputs; top += TILE) {
-            let rows = min(TILE, inputs - top);
-            workgroupBarrier();
-            for (var place = thread; place < SAMPLES * TILE; place += THREADS) {
-                let sample = place / TILE;
-                let row = place % TILE;
-                var number = 0.0;
-                if sample < count && row < rows {
-                    number = memory[x + sample * inputs + top + row];
-                }
-                left[place] = number;
-            }
-            workgroupBarrier();
-            for (var column = thread; column < columns; column += THREADS) {
-                var sums: array<f32, TILE>;
-                for (var r = 0u; r < TILE; r += 1u) {
-                    sums[r] = 0.0;
-                }
-                for (var sample = 0u; sample < count; sample += 1u) {
-                    let right = memory[delta + sample * columns + column];
-                    for (var r = 0u; r < TILE; r += 1u) {
-                        let term = left[sample * TILE + r] * right;
-                        sums[r] += term;
+        let lane = thread % LANES;
+        let group = thread / LANES;
+        for (var top = 0u; top < inputs; top += THREADS / LANES * ROWS) {
+            let row = top + group * ROWS;
+            for (var edge = 0u; edge < columns; edge += LANES) {
+                let column = edge + lane;
+                low = vec4<f32>(0.0);
+                high = low;
+                for (var block = 0u; block < count; block += DEPTH) {
+                    let depth = min(DEPTH, count - block);
+                    workgroupBarrier();
+                    bring_left(x + block * inputs, depth, 1u, inputs, top, inputs, thread);
+                    bring_right(delta + block * columns, depth, columns, 1u, edge, columns, thread);
+                    workgroupBarrier();
+                    if row < inputs {
+                        accumulate(depth, group, lane);
                     }
                 }
-                for (var r = 0u; r < rows; r += 1u) {
-                    step_parameter(job, corrections, at + (top + r) * columns + column, sums[r]);
+                if column < columns && row < inputs {
+                    let index = at + row * columns + column;
+                    let rows = min(ROWS, inputs - row);
+                    step_parameters(job, corrections, index, columns, min(rows, 4u), low);
+                    if rows > 4u {
+                        step_parameters(job, corrections, index + 4u * columns, columns, rows - 4u, high);
+                    }
                 }
             }
         }
@@ -443,27 +577,61 @@ fn step_biases(job: Job, corrections: vec2<f32>, delta: u32, columns: u32, count
         for (var sample = 0u; sample < count; sample += 1u) {
             sum += memory[delta + sample * columns + column];
         }
-        step_parameter(job, corrections, at + column, sum);
+        step_parameters(job, corrections, at + column, 0u, 1u, vec4<f32>(sum));
     }
 }
 
-/// Steps on the first layer, whose inputs are zeros and ones.
-fn step_first(job: Job, corrections: vec2<f32>, delta: u32, gradient: u32, count: u32, bias: u32, thread: u32) {
-    for (var column = thread; column < job.hidden; column += THREADS) {
-        for (var input = 0u; input < job.inputs; input += 1u) {
-            memory[gradient + input * job.hidden + column] = 0.0;
+/// The sum of a column of `delta` over the rows whose input `place` is one.
+fn sum_members(place: u32, delta: u32, step: u32) -> f32 {
+    var sum = 0.0;
+    for (var word = 0u; word < 2u; word += 1u) {
+        var bits = atomicLoad(&members[2u * place + word]);
+        while bits != 0u {
+            let row = 32u * word + firstTrailingBit(bits);
+            bits &= bits - 1u;
+            sum += memory[delta + row * step];
         }
-        for (var row = 0u; row < count; row += 1u) {
+    }
+    return sum;
+}
+
+/// Steps on the first layer, whose inputs are zeros and ones.
+fn step_first(job: Job, corrections: vec2<f32>, delta: u32, count: u32, bias: u32, thread: u32) {
+    for (var begin = 0u; begin < job.inputs; begin += INPUTS) {
+        let places = min(INPUTS, job.inputs - begin);
+        workgroupBarrier();
+        for (var word = thread; word < 2u * INPUTS; word += THREADS) {
+            atomicStore(&members[word], 0u);
+        }
+        workgroupBarrier();
+        // A few invocations per row.
+        let parts = THREADS / SAMPLES;
+        let row = thread / parts;
+        if row < count {
             let id = row_id[row];
-            let add = memory[delta + row * job.hidden + column];
             let end = job.ones + data[job.rows + id + 1u];
-            for (var at = job.ones + data[job.rows + id]; at < end; at += 1u) {
-                memory[gradient + data[at] * job.hidden + column] += add;
+            for (var at = job.ones + data[job.rows + id] + thread % parts; at < end; at += parts) {
+                let place = data[at] - begin;
+                // An input before the first wraps around to a large number.
+                if place < places {
+                    atomicOr(&members[2u * place + row / 32u], 1u << (row % 32u));
+                }
             }
         }
-        for (var input = 0u; input < job.inputs; input += 1u) {
-            let index = input * job.hidden + column;
-            step_parameter(job, corrections, index, memory[gradient + index]);
+        workgroupBarrier();
+        let fours = (places + 3u) / 4u;
+        for (var at = thread; at < fours * job.hidden; at += THREADS) {
+            let place = 4u * (at / job.hidden);
+            let column = at % job.hidden;
+            let number = min(4u, places - place);
+            let last = place + number - 1u;
+            let sums = vec4<f32>(
+                sum_members(place, delta + column, job.hidden),
+                sum_members(min(place + 1u, last), delta + column, job.hidden),
+                sum_members(min(place + 2u, last), delta + column, job.hidden),
+                sum_members(min(place + 3u, last), delta + column, job.hidden),
+            );
+            step_parameters(job, corrections, (begin + place) * job.hidden + column, job.hidden, number, sums);
         }
     }
     step_biases(job, corrections, delta, job.hidden, count, bias, thread);
@@ -481,21 +649,19 @@ fn best_action(job: Job, at: u32) -> u32 {
 /// Targets, losses and their derivatives by the outputs; notes a loss that is no finite number.
 fn derive_loss(job: Job, work: Work, update: u32, index: u32, thread: u32) {
     let samples = job.drawn + job.forced;
-    let share = 1.0 / f32(samples);
     if thread < samples {
         var y = reward[thread];
         if next_id[thread] != NO_ROW {
             let best = best_action(job, work.values + next_row[thread] * job.outputs);
-            let bootstrap = job.gamma * memory[work.goal_values + goal_row[thread] * job.outputs + best];
-            y += bootstrap;
+            y += times(job.gamma, memory[work.goal_values + goal_row[thread] * job.outputs + best]);
         }
         let difference = memory[work.values + state_row[thread] * job.outputs + action[thread]] - y;
         let magnitude = abs(difference);
         let sign = select(-1.0, 1.0, difference > 0.0);
         // SmoothL1: quadratic within ±1, linear beyond.
-        let value = select(magnitude - 0.5, 0.5 * difference * difference, magnitude < 1.0);
-        loss[thread] = value * share;
-        slope[thread] = select(sign, difference, magnitude < 1.0) * share;
+        let value = select(magnitude - 0.5, times(0.5 * difference, difference), magnitude < 1.0);
+        state_first[thread] = bitcast<u32>(times(value, job.share));
+        slope[thread] = select(sign, difference, magnitude < 1.0) * job.share;
     }
     workgroupBarrier();
     for (var at = thread; at < counts[0] * job.outputs; at += THREADS) {
@@ -510,7 +676,7 @@ fn derive_loss(job: Job, work: Work, update: u32, index: u32, thread: u32) {
     if thread == 0u {
         var sum = 0.0;
         for (var i = 0u; i < samples; i += 1u) {
-            sum += loss[i];
+            sum += bitcast<f32>(state_first[i]);
         }
         // All ones in the exponent: infinite or no number.
         if (bitcast<u32>(sum) & 0x7f800000u) == 0x7f800000u && failures[index] == 0u {
@@ -524,6 +690,8 @@ fn derive_loss(job: Job, work: Work, update: u32, index: u32, thread: u32) {
 @compute @workgroup_size(THREADS)
 fn ddqn(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let index = group.x;
+    let span = spans[index];
+    nothing = span.nothing;
     let job = jobs[index];
     let at = layout_of(job);
     let work = work_of(job);
@@ -565,7 +733,7 @@ fn ddqn(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let corrections = vec2<f32>(bitcast<f32>(data[correction]), bitcast<f32>(data[correction + 1u]));
         step_layer(job, corrections, work.hidden2, job.hidden, work.delta3, job.outputs, states, at.weight3, thread);
         step_layer(job, corrections, work.hidden1, job.hidden, work.delta2, job.hidden, states, at.weight2, thread);
-        step_first(job, corrections, work.delta1, work.gradient1, states, at.bias1, thread);
+        step_first(job, corrections, work.delta1, states, at.bias1, thread);
         storageBarrier();
         workgroupBarrier();
     }

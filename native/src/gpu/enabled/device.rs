@@ -1,16 +1,18 @@
 //! One device: how it is opened, what is allocated there, and how it fails.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use bytemuck::Pod;
 use wgpu::{
     Adapter, Backends, BindGroupLayout, Buffer, BufferUsages, CommandEncoder, CommandEncoderDescriptor,
-    ComputePipeline, DeviceType, Instance, InstanceDescriptor, Limits, MapMode, PollError, PollType, Queue,
-    ShaderSource,
+    ComputePipeline, DeviceType, Instance, InstanceDescriptor, Limits, MapMode, PipelineCompilationOptions, PollError,
+    PollType, Queue, ShaderSource,
 };
 
 use super::super::{AdapterInfo, GpuError};
+use super::arithmetic::Arithmetic;
+use super::tight;
 
 /// A slice of work takes a twentieth of a second; a device that needs this long does not answer.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -18,6 +20,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Turns of all loops together after which software devices end every loop of an invocation, whatever its condition
 /// (Mesa's llvmpipe, `LP_MAX_TGSI_LOOP_ITERATIONS`): what comes out then is wrong without a word.
 const SOFTWARE_LOOPS: u32 = 65_535;
+
+/// Kernels as SPIR-V of our own, see [`tight`].
+const PASSTHROUGH: wgpu::Features = wgpu::Features::PASSTHROUGH_SHADERS;
 
 /// Distance of the records that dispatches choose from: what every device takes.
 pub const DYNAMIC_STEP: u32 = 256;
@@ -37,6 +42,11 @@ pub enum Binding {
 #[derive(Debug)]
 pub struct Device {
     info: AdapterInfo,
+    arithmetic: Arithmetic,
+    /// Invocations that a workgroup should have at most.
+    workgroup: u32,
+    /// Bytes that one buffer can have.
+    largest: u64,
     device: wgpu::Device,
     queue: Queue,
     /// What the device complained about since it was asked last.
@@ -44,7 +54,10 @@ pub struct Device {
 }
 
 fn all() -> Vec<Adapter> {
-    let instance = Instance::new(InstanceDescriptor::new_without_display_handle());
+    // Never dropped: a driver that is unloaded takes along what a thread that used it still calls when it ends
+    // (seen with NVIDIA's).
+    static INSTANCE: OnceLock<Instance> = OnceLock::new();
+    let instance = INSTANCE.get_or_init(|| Instance::new(InstanceDescriptor::new_without_display_handle()));
     pollster::block_on(instance.enumerate_adapters(Backends::all()))
 }
 
@@ -94,9 +107,20 @@ impl Device {
         let limits = Limits {
             max_buffer_size: offered.max_buffer_size,
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+            max_compute_invocations_per_workgroup: offered.max_compute_invocations_per_workgroup,
+            max_compute_workgroup_size_x: offered.max_compute_workgroup_size_x,
+            max_storage_buffers_per_shader_stage: offered.max_storage_buffers_per_shader_stage,
             ..least.or_worse_values_from(&offered)
         };
-        let descriptor = wgpu::DeviceDescriptor { label: Some("mcvl"), required_limits: limits, ..Default::default() };
+        // Vulkan only: elsewhere the barriers of WGSL are what they should be.
+        let tight = adapter.get_info().backend == wgpu::Backend::Vulkan && adapter.features().contains(PASSTHROUGH);
+        let required_features = if tight { PASSTHROUGH } else { wgpu::Features::empty() };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("mcvl"),
+            required_features,
+            required_limits: limits,
+            ..Default::default()
+        };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|error| GpuError::NoDevice(error.to_string()))?;
         let complaint = Arc::new(Mutex::new(None));
@@ -119,7 +143,32 @@ impl Device {
         device.set_device_lost_callback(move |reason, text| {
             note(&noted, GpuError::Lost(format!("{text} ({reason:?})")));
         });
-        Ok(Self { info: about(adapter), device, queue, complaint })
+        let info = about(adapter);
+        // Software takes up one invocation after the other, and at each barrier all of them again.
+        let limits = device.limits();
+        let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
+        let workgroup = if info.software { 0 } else { most };
+        let largest = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        let plain = Self { info, arithmetic: Arithmetic::default(), workgroup, largest, device, queue, complaint };
+        let arithmetic = Arithmetic::find(&plain)?;
+        Ok(Self { arithmetic, ..plain })
+    }
+
+    /// How kernels compute here.
+    pub fn arithmetic(&self) -> Arithmetic {
+        self.arithmetic
+    }
+
+    /// Invocations that a workgroup should have at most; kernels with fewer take their least.
+    pub fn workgroup(&self) -> u32 {
+        self.workgroup
+    }
+
+    /// The same device with kernels as cards have them: large workgroups, and products kept from being fused.
+    #[cfg(test)]
+    pub fn like_a_card(self) -> Self {
+        let arithmetic = Arithmetic { guarded: true, ..self.arithmetic };
+        Self { workgroup: u32::MAX, arithmetic, ..self }
     }
 
     /// The adapter.
@@ -134,12 +183,17 @@ impl Device {
 
     /// Bytes that one buffer can have.
     pub fn largest_buffer(&self) -> u64 {
-        let limits = self.device.limits();
-        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+        self.largest
+    }
+
+    /// The same device with less memory.
+    #[cfg(test)]
+    pub fn with_buffers_of(self, largest: u64) -> Self {
+        Self { largest, ..self }
     }
 
     /// A pipeline of one kernel; its bindings are those that the kernel declares.
-    pub fn pipeline(&self, name: &str, source: &str) -> ComputePipeline {
+    pub fn pipeline(&self, name: &str, source: &str, options: PipelineCompilationOptions<'_>) -> ComputePipeline {
         let source = ShaderSource::Wgsl(source.into());
         let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(name), source });
         self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
@@ -147,7 +201,49 @@ impl Device {
             layout: None,
             module: &module,
             entry_point: Some(name),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: options,
+            cache: None,
+        })
+    }
+
+    /// A pipeline of a kernel in which a workgroup shares its part of the buffers with nobody; its overrides are
+    /// `constants`.
+    pub fn tight_pipeline(
+        &self,
+        name: &str,
+        source: &str,
+        constants: &[(&str, f64)],
+        layout: &BindGroupLayout,
+    ) -> ComputePipeline {
+        let words = if self.device.features().contains(PASSTHROUGH) {
+            tight::spirv(source, name, constants).ok()
+        } else {
+            None
+        };
+        let (module, constants) = match &words {
+            // SAFETY: the words are naga's for a valid kernel, whose indices are those that the packing of jobs made;
+            // reads and writes beyond a buffer are the driver's to stop, as wgpu asks of it.
+            Some(words) => {
+                (unsafe { self.device.create_shader_module_passthrough(tight::module(name, words)) }, &[][..])
+            }
+            // An error in the source is told by wgpu.
+            None => {
+                let source = ShaderSource::Wgsl(source.into());
+                let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };
+                (self.device.create_shader_module(descriptor), constants)
+            }
+        };
+        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(name),
+            bind_group_layouts: &[Some(layout)],
+            immediate_size: 0,
+        });
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some(name),
+            compilation_options: PipelineCompilationOptions { constants, ..PipelineCompilationOptions::default() },
             cache: None,
         })
     }
@@ -174,7 +270,7 @@ impl Device {
                 layout: Some(&layout),
                 module: &module,
                 entry_point: Some(name),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                compilation_options: PipelineCompilationOptions::default(),
                 cache: None,
             })
         })

@@ -1,12 +1,16 @@
 //! What forecasts on a graphics card where this program was built with them.
 
+mod arena;
+mod arithmetic;
 mod ddqn;
 mod device;
 mod forecaster;
+mod pool;
 mod probe;
 mod td3;
 #[cfg(test)]
 mod tests;
+mod tight;
 mod transfer;
 mod worker;
 
@@ -65,6 +69,12 @@ impl Gpu {
             return Err("its forecasts practise in copies of the world".to_owned());
         }
         if config.env == <Reacher>::NAME { td3::supports(config) } else { ddqn::supports(config) }
+    }
+
+    /// Whether the futures of a run of this configuration are the processor's to the bit: where the device rounds as a
+    /// processor does, or can be made to, those of DDQN learners are.
+    pub fn is_exact(&self, config: &Config) -> bool {
+        self.desk.arithmetic().exact && config.env != <Reacher>::NAME
     }
 
     /// Lets a run forecast there from here on; `None`, with nothing changed, if [`Gpu::supports`] does not.

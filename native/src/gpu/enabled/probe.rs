@@ -22,7 +22,7 @@ const COPY: u64 = 64 << 20;
 /// If there is no such device, or it fails.
 pub fn peak(adapter: Option<&str>, time: Duration) -> Result<Peak, GpuError> {
     let device = Device::open(adapter)?;
-    let pipeline = device.pipeline("probe", SOURCE);
+    let pipeline = device.pipeline("probe", SOURCE, wgpu::PipelineCompilationOptions::default());
     let rounds = device.uniform("probe rounds", 4);
     device.write(&rounds, 0, bytemuck::bytes_of(&ROUNDS));
     let multiply_adds = fastest(time, |groups| {

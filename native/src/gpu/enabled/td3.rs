@@ -19,8 +19,7 @@ use wgpu::{CommandEncoder, ComputePipeline};
 
 use super::super::GpuError;
 use super::device::{Binding, DYNAMIC_STEP, Device};
-use super::transfer::{Parts, Returns, draws, record};
-use super::worker::Training;
+use super::transfer::{Outcome, Parts, Returns, draws, record};
 
 /// The kernels.
 pub const SOURCE: &str = include_str!("td3.wgsl");
@@ -719,17 +718,14 @@ impl Batch {
     }
 }
 
-impl Training for Batch {
-    fn updates(&self) -> u32 {
+impl Batch {
+    /// Updates of the longest job.
+    pub fn updates(&self) -> u32 {
         self.updates
     }
 
-    fn longest_slice(&self, _: Option<u32>) -> u32 {
-        // An update is many dispatches, so the loops of one do not grow with the slice.
-        u32::MAX
-    }
-
-    fn encode(&self, _: &Device, commands: &mut CommandEncoder, first: u32, count: u32) {
+    /// Commands for the updates `first..first + count` of every job.
+    pub fn encode(&self, commands: &mut CommandEncoder, first: u32, count: u32) {
         let mut pass =
             commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("td3"), timestamp_writes: None });
         pass.set_bind_group(0, &self.buffers, &[]);
@@ -748,7 +744,11 @@ impl Training for Batch {
         }
     }
 
-    fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
+    /// What a job brings back, or 1 + the update whose loss was no finite number; in the order of the jobs.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn results(&self, device: &Device) -> Result<Vec<Outcome>, GpuError> {
         self.returns.read(device)
     }
 }

@@ -14,7 +14,7 @@ macro_rules! record {
     ($(#[$about:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
         $(#[$about])*
         #[repr(C)]
-        #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
         pub struct $name {
             $($field: $kind),*
         }
@@ -71,6 +71,9 @@ impl<'a> Parts<'a> {
     }
 }
 
+/// What a job brings back: its numbers, or 1 + the first update whose loss was no finite number.
+pub type Outcome = Result<Vec<f32>, u32>;
+
 /// What a batch of jobs brings back.
 #[derive(Debug)]
 pub struct Returns {
@@ -96,7 +99,7 @@ impl Returns {
     ///
     /// # Errors
     /// If the device fails.
-    pub fn read(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError> {
+    pub fn read(&self, device: &Device) -> Result<Vec<Outcome>, GpuError> {
         let failures = device.read(&self.failures, &[(0, 4 * self.places.len() as u64)])?;
         let ranges: Vec<_> = self.places.iter().map(|&(at, len)| (4 * u64::from(at), 4 * u64::from(len))).collect();
         let values = device.read(&self.memory, &ranges)?;

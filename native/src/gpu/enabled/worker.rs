@@ -1,42 +1,30 @@
-//! The thread that owns the device. Orders of all runs are gathered into batches; all batches advance together,
-//! slice by slice.
+//! The thread that owns the device. Orders of all runs are trained there together, slice by slice: DDQN learners in
+//! one dispatch whenever they came in, TD3 learners in batches of those that came in together.
 
-use std::fmt::Debug;
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use mcvl_core::forecast::ForecastError;
-use wgpu::CommandEncoder;
 
 use super::super::{AdapterInfo, GpuError};
+use super::arithmetic::Arithmetic;
 use super::device::Device;
+use super::pool::{Check, Pool};
+use super::transfer::Outcome;
 use super::{ddqn, td3};
 
-/// How long a slice of work should take: far below the two seconds after which drivers take a kernel for hung.
-const SLICE: Duration = Duration::from_millis(50);
+/// How long a slice of work should take: far below the two seconds after which drivers take a kernel for hung, and so
+/// short that those who come do not wait for long.
+const SLICE: Duration = Duration::from_millis(25);
 /// Updates of the first slice; later ones follow the clock.
 const FIRST_SLICE: u32 = 4;
 /// How long an idle device waits for the orders of other runs.
 const GATHER: Duration = Duration::from_millis(1);
-/// Bytes of one batch at most, where the device would take more.
+/// Bytes of one batch or check at most, where the device would take more.
 const BATCH_BYTES: u64 = 2 << 30;
-
-/// Networks that train side by side on the device.
-pub trait Training: Debug {
-    /// Updates of the longest job.
-    fn updates(&self) -> u32;
-    /// Updates that one dispatch may make, where the device has a limit on their loops.
-    fn longest_slice(&self, limit: Option<u32>) -> u32;
-    /// Commands for the updates `first..first + count` of every job.
-    fn encode(&self, device: &Device, commands: &mut CommandEncoder, first: u32, count: u32);
-    /// What a job brings back, or 1 + the update whose loss was no finite number; in the order of the jobs.
-    ///
-    /// # Errors
-    /// If the device fails.
-    fn results(&self, device: &Device) -> Result<Vec<Result<Vec<f32>, u32>>, GpuError>;
-}
 
 /// What is to be trained.
 #[derive(Clone, Debug)]
@@ -169,6 +157,7 @@ struct State {
 pub struct Desk {
     room: Arc<Room>,
     info: AdapterInfo,
+    arithmetic: Arithmetic,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -181,15 +170,20 @@ impl Desk {
     /// Starts the thread.
     pub fn open(device: Device) -> Arc<Self> {
         let room = Arc::new(Room::default());
-        let info = device.info().clone();
+        let (info, arithmetic) = (device.info().clone(), device.arithmetic());
         let own = room.clone();
         let thread = thread::spawn(move || Worker::new(device, own).work());
-        Arc::new(Self { room, info, thread: Some(thread) })
+        Arc::new(Self { room, info, arithmetic, thread: Some(thread) })
     }
 
     /// The adapter.
     pub fn adapter(&self) -> &AdapterInfo {
         &self.info
+    }
+
+    /// How the kernels compute.
+    pub fn arithmetic(&self) -> Arithmetic {
+        self.arithmetic
     }
 
     /// Hands in orders that are to begin together.
@@ -226,18 +220,62 @@ impl Drop for Desk {
     }
 }
 
+/// What trains together, from its first update to its last.
+#[derive(Debug)]
+enum Training {
+    Check(Check),
+    Batch(td3::Batch),
+}
+
+impl Training {
+    /// Updates of the longest job.
+    fn updates(&self) -> u32 {
+        match self {
+            Self::Check(check) => check.updates(),
+            Self::Batch(batch) => batch.updates(),
+        }
+    }
+
+    /// Updates that one dispatch may make, where the device has a limit on their loops.
+    fn longest_slice(&self, limit: Option<u32>) -> u32 {
+        match self {
+            Self::Check(check) => check.longest_slice(limit),
+            // An update is many dispatches, so the loops of one do not grow with the slice.
+            Self::Batch(_) => u32::MAX,
+        }
+    }
+}
+
 /// Jobs under way.
 #[derive(Debug)]
 struct Running {
-    training: Box<dyn Training>,
+    training: Training,
     tickets: Vec<Arc<Ticket>>,
     done: u32,
 }
 
 impl Running {
-    fn wanted(&self) -> bool {
-        self.tickets.iter().any(|ticket| !ticket.cancelled.load(Ordering::Relaxed))
+    fn is_done(&self) -> bool {
+        self.done >= self.training.updates()
     }
+
+    fn finish(&self, results: Vec<Outcome>) {
+        for (ticket, result) in self.tickets.iter().zip(results) {
+            ticket.finish(result.map_err(|update| ForecastError::NotFinite { update }));
+        }
+    }
+}
+
+/// Whether somebody waits for one of these.
+fn is_wanted(tickets: &[Arc<Ticket>]) -> bool {
+    tickets.iter().any(|ticket| !ticket.cancelled.load(Ordering::Relaxed))
+}
+
+/// The learners of one check, before they are on the device.
+#[derive(Debug, Default)]
+struct Waiter {
+    jobs: Vec<Arc<ddqn::Packed>>,
+    tickets: Vec<Arc<Ticket>>,
 }
 
 /// The thread's own things.
@@ -245,23 +283,25 @@ impl Running {
 struct Worker {
     device: Device,
     room: Arc<Room>,
-    ddqn: ddqn::Kernel,
+    ddqn: Pool,
     /// Built for the first job.
     td3: Option<td3::Kernel>,
+    /// Checks for which there is no room yet.
+    waiting: VecDeque<Waiter>,
     running: Vec<Running>,
     slice: u32,
 }
 
 impl Worker {
     fn new(device: Device, room: Arc<Room>) -> Self {
-        let ddqn = ddqn::Kernel::new(&device);
-        Self { device, room, ddqn, td3: None, running: Vec::new(), slice: FIRST_SLICE }
+        let (ddqn, waiting) = (Pool::new(&device), VecDeque::new());
+        Self { device, room, ddqn, td3: None, waiting, running: Vec::new(), slice: FIRST_SLICE }
     }
 
     fn work(mut self) {
         while let Some(orders) = self.orders() {
-            self.admit(orders);
-            if let Err(failure) = self.advance() {
+            self.take(orders);
+            if let Err(failure) = self.admit().and_then(|()| self.advance()) {
                 self.fail(failure);
             }
             self.room.finished.notify_all();
@@ -271,7 +311,7 @@ impl Worker {
     /// What came in; waits if there is nothing else to do. `None` at the end.
     fn orders(&self) -> Option<Vec<Order>> {
         let mut state = lock(&self.room.state);
-        if self.running.is_empty() {
+        if self.running.is_empty() && self.waiting.is_empty() {
             state = self
                 .room
                 .ordered
@@ -286,55 +326,77 @@ impl Worker {
         (!state.closing).then(|| std::mem::take(&mut state.orders))
     }
 
-    /// Brings orders to the device, in as many batches as its memory takes.
-    fn admit(&mut self, orders: Vec<Order>) {
+    /// Sorts orders: DDQN learners by checks, TD3 learners into as many batches as the memory of the device takes.
+    fn take(&mut self, orders: Vec<Order>) {
         let largest = self.device.largest_buffer().min(BATCH_BYTES);
-        let mut group: Vec<Order> = Vec::new();
+        let (mut checks, mut batch): (Vec<Waiter>, _) = (Vec::new(), (Vec::new(), Vec::new()));
         let mut sum = [0u64; 2];
-        for order in orders {
-            if let Some(error) = order.work.too_large(largest, self.device.loop_limit()) {
-                order.ticket.finish(Err(ForecastError::BackEnd(error.to_string())));
+        for Order { work, ticket } in orders {
+            if let Some(error) = work.too_large(largest, self.device.loop_limit()) {
+                ticket.finish(Err(ForecastError::BackEnd(error.to_string())));
                 continue;
             }
-            let bytes = order.work.bytes();
-            if sum.iter().zip(bytes).any(|(sum, bytes)| sum + bytes > largest) {
-                self.start(std::mem::take(&mut group));
-                sum = [0; 2];
-            }
-            sum = [sum[0] + bytes[0], sum[1] + bytes[1]];
-            group.push(order);
-        }
-        self.start(group);
-    }
-
-    fn start(&mut self, orders: Vec<Order>) {
-        let (mut ddqn, mut td3) = ((Vec::new(), Vec::new()), (Vec::new(), Vec::new()));
-        for Order { work, ticket } in orders {
+            let bytes = work.bytes();
             match work {
                 Work::Ddqn(packed) => {
-                    ddqn.0.push(packed);
-                    ddqn.1.push(ticket);
+                    let fits = |check: &&mut Waiter| {
+                        let together =
+                            check.jobs.iter().map(|job| job.bytes()).fold(bytes, |a, b| [a[0] + b[0], a[1] + b[1]]);
+                        check.jobs[0].is_of_the_check_of(&packed) && together.iter().all(|bytes| *bytes <= largest)
+                    };
+                    match checks.last_mut().filter(fits) {
+                        Some(check) => {
+                            check.jobs.push(packed);
+                            check.tickets.push(ticket);
+                        }
+                        None => checks.push(Waiter { jobs: vec![packed], tickets: vec![ticket] }),
+                    }
                 }
                 Work::Td3(packed) => {
-                    td3.0.push(packed);
-                    td3.1.push(ticket);
+                    if sum.iter().zip(bytes).any(|(sum, bytes)| sum + bytes > largest) {
+                        self.start(std::mem::take(&mut batch));
+                        sum = [0; 2];
+                    }
+                    sum = [sum[0] + bytes[0], sum[1] + bytes[1]];
+                    batch.0.push(packed);
+                    batch.1.push(ticket);
                 }
             }
         }
-        if !ddqn.0.is_empty() {
-            let training = Box::new(ddqn::Batch::new(&self.device, &self.ddqn, &ddqn.0));
-            self.running.push(Running { training, tickets: ddqn.1, done: 0 });
-        }
-        if !td3.0.is_empty() {
+        self.start(batch);
+        self.waiting.extend(checks);
+    }
+
+    fn start(&mut self, (packed, tickets): (Vec<Arc<td3::Packed>>, Vec<Arc<Ticket>>)) {
+        if !packed.is_empty() {
             let kernel = self.td3.get_or_insert_with(|| td3::Kernel::new(&self.device));
-            let training = Box::new(td3::Batch::new(&self.device, kernel, &td3.0));
-            self.running.push(Running { training, tickets: td3.1, done: 0 });
+            let training = Training::Batch(td3::Batch::new(&self.device, kernel, &packed));
+            self.running.push(Running { training, tickets, done: 0 });
         }
     }
 
-    /// One slice of every batch, and the results of those that are done.
+    /// Brings waiting checks to the device as long as there is room, after those that nobody wants any more have left.
+    fn admit(&mut self) -> Result<(), GpuError> {
+        let mut index = 0;
+        while index < self.running.len() {
+            if is_wanted(&self.running[index].tickets) {
+                index += 1;
+            } else if let Training::Check(check) = self.running.swap_remove(index).training {
+                self.ddqn.release(check);
+            }
+        }
+        self.waiting.retain(|waiter| is_wanted(&waiter.tickets));
+        while let Some(waiter) = self.waiting.front() {
+            // What is too large for an empty device was told when it came.
+            let Some(check) = self.ddqn.admit(&self.device, &waiter.jobs)? else { break };
+            let tickets = self.waiting.pop_front().map(|waiter| waiter.tickets).unwrap_or_default();
+            self.running.push(Running { training: Training::Check(check), tickets, done: 0 });
+        }
+        Ok(())
+    }
+
+    /// One slice of everything, and the results of what is done.
     fn advance(&mut self) -> Result<(), GpuError> {
-        self.running.retain(Running::wanted);
         if self.running.is_empty() {
             return Ok(());
         }
@@ -344,38 +406,71 @@ impl Worker {
             let longest = running.training.longest_slice(self.device.loop_limit());
             let count = self.slice.min(longest).min(running.training.updates() - running.done);
             if count > 0 {
-                running.training.encode(&self.device, &mut commands, running.done, count);
+                match &running.training {
+                    Training::Check(check) => self.ddqn.plan(check, running.done, count),
+                    Training::Batch(batch) => batch.encode(&mut commands, running.done, count),
+                }
                 running.done += count;
             }
         }
+        self.ddqn.encode(&self.device, &mut commands);
         self.device.run(commands)?;
         let share = SLICE.as_secs_f64() / start.elapsed().as_secs_f64().max(1e-6);
         self.slice = ((f64::from(self.slice) * share.clamp(0.25, 2.0)) as u32).max(1);
-        let mut index = 0;
-        while index < self.running.len() {
-            let running = &self.running[index];
+        for running in &self.running {
             for ticket in &running.tickets {
                 ticket.done.store(running.done.min(ticket.total), Ordering::Relaxed);
             }
-            if running.done < running.training.updates() {
-                index += 1;
-                continue;
+        }
+        self.deliver()
+    }
+
+    /// Hands out the results of what is done.
+    fn deliver(&mut self) -> Result<(), GpuError> {
+        let (done, running): (Vec<_>, Vec<_>) = self.running.drain(..).partition(Running::is_done);
+        self.running = running;
+        let results = match self.results(&done) {
+            Ok(results) => results,
+            Err(failure) => {
+                // They are told with the others.
+                self.running.extend(done);
+                return Err(failure);
             }
-            let results = running.training.results(&self.device)?;
-            let running = self.running.swap_remove(index);
-            for (ticket, result) in running.tickets.iter().zip(results) {
-                ticket.finish(result.map_err(|update| ForecastError::NotFinite { update }));
+        };
+        for (running, results) in done.into_iter().zip(results) {
+            running.finish(results);
+            if let Training::Check(check) = running.training {
+                self.ddqn.release(check);
             }
         }
         Ok(())
     }
 
+    /// What came out, in the order of what is done; of all checks at once.
+    fn results(&self, done: &[Running]) -> Result<Vec<Vec<Outcome>>, GpuError> {
+        let checks: Vec<&Check> = done
+            .iter()
+            .filter_map(|running| match &running.training {
+                Training::Check(check) => Some(check),
+                Training::Batch(_) => None,
+            })
+            .collect();
+        let mut of_checks = self.ddqn.results(&self.device, &checks)?.into_iter();
+        done.iter()
+            .map(|running| match &running.training {
+                Training::Check(_) => Ok(of_checks.next().expect("every check has results")),
+                Training::Batch(batch) => batch.results(&self.device),
+            })
+            .collect()
+    }
+
     /// The device is of no further use: whoever waits or comes is told.
     fn fail(&mut self, failure: GpuError) {
         let mut state = lock(&self.room.state);
-        let waiting = self.running.drain(..).flat_map(|running| running.tickets);
+        let running = self.running.drain(..).flat_map(|running| running.tickets);
+        let waiting = self.waiting.drain(..).flat_map(|waiter| waiter.tickets);
         let orders = state.orders.drain(..).map(|order| order.ticket);
-        for ticket in waiting.chain(orders.collect::<Vec<_>>()) {
+        for ticket in running.chain(waiting).chain(orders.collect::<Vec<_>>()) {
             ticket.finish(Err(ForecastError::BackEnd(failure.to_string())));
         }
         state.failure.get_or_insert(failure);

@@ -1,0 +1,201 @@
+//! DDQN learners that train side by side on a device: one dispatch trains all of them, each from where it stands. They
+//! come and go between dispatches.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use wgpu::{BindGroup, BindGroupLayout, Buffer, CommandEncoder, ComputePipeline};
+
+use super::super::GpuError;
+use super::arena::Arena;
+use super::ddqn::{GROUPS, Job, LANES, Packed, SOURCE, Span};
+use super::device::{Binding, Device};
+use super::transfer::Outcome;
+
+/// Learners at once at most. More wait: they fill any card.
+const SLOTS: u32 = 4096;
+/// Numbers in the two large buffers of an idle device.
+const BEGIN: u32 = 4 << 20;
+/// Numbers of four bytes in one of them at most, where the device would take more.
+const MOST: u32 = 1 << 29;
+
+/// Learners of one check on the device.
+#[derive(Debug)]
+pub struct Check {
+    jobs: Vec<Arc<Packed>>,
+    slots: Vec<u32>,
+    memory: Range<u32>,
+    data: Range<u32>,
+}
+
+/// The kernel with its buffers.
+#[derive(Debug)]
+pub struct Pool {
+    pipeline: ComputePipeline,
+    layout: BindGroupLayout,
+    memory: Arena,
+    data: Arena,
+    jobs: Buffer,
+    failures: Buffer,
+    spans: Buffer,
+    bindings: Option<BindGroup>,
+    /// Free slots, the lowest last.
+    free: Vec<u32>,
+    /// What each slot does in the next dispatch.
+    next: Vec<Span>,
+}
+
+impl Pool {
+    /// Builds the kernel, with as many groups to a workgroup as the device should have.
+    pub fn new(device: &Device) -> Self {
+        let kinds = [Binding::Read, Binding::Read, Binding::Write, Binding::Write, Binding::Read];
+        let layout = device.layout("ddqn", &kinds);
+        let groups = (device.workgroup() / LANES).clamp(1, GROUPS);
+        let [guarded, corrected] = device.arithmetic().options();
+        let constants = [("THREADS", f64::from(groups * LANES)), guarded, corrected];
+        let pipeline = device.tight_pipeline("ddqn", SOURCE, &constants, &layout);
+        let most = most(device);
+        let sized = |label, bytes: usize| device.buffer(label, u64::from(SLOTS) * bytes as u64, &[]);
+        Self {
+            pipeline,
+            layout,
+            memory: Arena::new(device, "ddqn memory", BEGIN.min(most)),
+            data: Arena::new(device, "ddqn data", BEGIN.min(most)),
+            jobs: sized("ddqn jobs", size_of::<Job>()),
+            failures: sized("ddqn failures", size_of::<u32>()),
+            spans: sized("ddqn spans", size_of::<Span>()),
+            bindings: None,
+            free: (0..SLOTS).rev().collect(),
+            next: vec![Span::new(0, 0); SLOTS as usize],
+        }
+    }
+
+    /// Brings the jobs of one check to the device; `None` as long as there is no room for them.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn admit(&mut self, device: &Device, jobs: &[Arc<Packed>]) -> Result<Option<Check>, GpuError> {
+        let sum = |parts: &[&[u32]]| parts.iter().map(|part| part.len() as u32).sum::<u32>();
+        let numbers = |job: &Packed| job.numbers().len() as u32 + job.work();
+        let shared = jobs.first().map_or([&[][..]; 4], |job| job.shared());
+        let needed = [
+            jobs.iter().map(|job| numbers(job)).sum(),
+            sum(&shared) + jobs.iter().map(|job| sum(&job.own())).sum::<u32>(),
+        ];
+        if self.free.len() < jobs.len() {
+            return Ok(None);
+        }
+        let mut taken = [0..0, 0..0];
+        for (index, count) in needed.into_iter().enumerate() {
+            let arena = if index == 0 { &mut self.memory } else { &mut self.data };
+            let mut range = arena.take(count);
+            if range.is_none() && arena.grow(device, count, most(device))? {
+                self.bindings = None;
+                range = arena.take(count);
+            }
+            let Some(range) = range else {
+                self.memory.give(taken[0].clone());
+                return Ok(None);
+            };
+            taken[index] = range;
+        }
+        let [memory, data] = taken;
+        let (mut place, mut at) = (memory.start, data.start);
+        let mut bring = |part: &[u32]| {
+            device.write(self.data.buffer(), 4 * u64::from(at), bytemuck::must_cast_slice(part));
+            at += part.len() as u32;
+            at - part.len() as u32
+        };
+        let shared = shared.map(&mut bring);
+        let mut slots = Vec::new();
+        for job in jobs {
+            let slot = self.free.pop().expect("there are enough");
+            slots.push(slot);
+            let placed = job.placed(place, shared, job.own().map(&mut bring));
+            let at = |bytes: usize| u64::from(slot) * bytes as u64;
+            device.write(self.memory.buffer(), 4 * u64::from(place), bytemuck::must_cast_slice(job.numbers()));
+            device.write(&self.jobs, at(size_of::<Job>()), bytemuck::bytes_of(&placed));
+            device.write(&self.failures, at(size_of::<u32>()), &[0; 4]);
+            place += numbers(job);
+        }
+        Ok(Some(Check { jobs: jobs.to_vec(), slots, memory, data }))
+    }
+
+    /// The next dispatch trains a check for the updates `first..first + count`.
+    pub fn plan(&mut self, check: &Check, first: u32, count: u32) {
+        check.slots.iter().for_each(|slot| self.next[*slot as usize] = Span::new(first, count));
+    }
+
+    /// Commands for everything that was planned.
+    pub fn encode(&mut self, device: &Device, commands: &mut CommandEncoder) {
+        let Some(last) = self.next.iter().rposition(|span| *span != Span::new(0, 0)) else { return };
+        device.write(&self.spans, 0, bytemuck::must_cast_slice(&self.next[..=last]));
+        self.next[..=last].fill(Span::new(0, 0));
+        let bindings = self.bindings.get_or_insert_with(|| {
+            let buffers = [&self.jobs, self.data.buffer(), self.memory.buffer(), &self.failures, &self.spans];
+            device.bind("ddqn", &self.layout, &buffers)
+        });
+        let mut pass =
+            commands.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("ddqn"), timestamp_writes: None });
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &*bindings, &[]);
+        pass.dispatch_workgroups(last as u32 + 1, 1, 1);
+    }
+
+    /// What the jobs of some checks bring back: parameters, target and moments, or 1 + the update whose loss was no
+    /// finite number; check by check.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn results(&self, device: &Device, checks: &[&Check]) -> Result<Vec<Vec<Outcome>>, GpuError> {
+        let (mut states, mut ranges) = (Vec::new(), Vec::new());
+        for check in checks {
+            let mut place = check.memory.start;
+            for (job, slot) in check.jobs.iter().zip(&check.slots) {
+                states.push((4 * u64::from(*slot), 4));
+                ranges.push((4 * u64::from(place), size_of_val(job.numbers()) as u64));
+                place += job.numbers().len() as u32 + job.work();
+            }
+        }
+        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&device.read(&self.failures, &states)?);
+        let numbers: Vec<f32> = bytemuck::pod_collect_to_vec(&device.read(self.memory.buffer(), &ranges)?);
+        let (mut failures, mut rest) = (failures.into_iter(), &numbers[..]);
+        let mut result = |job: &Arc<Packed>| {
+            let (own, others) = rest.split_at(job.numbers().len());
+            rest = others;
+            match failures.next() {
+                Some(failure) if failure > 0 => Err(failure),
+                _ => Ok(own.to_vec()),
+            }
+        };
+        Ok(checks.iter().map(|check| check.jobs.iter().map(&mut result).collect()).collect())
+    }
+
+    /// Makes room.
+    pub fn release(&mut self, check: Check) {
+        let Check { slots, memory, data, .. } = check;
+        self.memory.give(memory);
+        self.data.give(data);
+        self.free.extend(slots);
+        // The lowest first: a dispatch has as many workgroups as its last slot says.
+        self.free.sort_unstable_by(|a, b| b.cmp(a));
+    }
+}
+
+impl Check {
+    /// Updates of its longest job.
+    pub fn updates(&self) -> u32 {
+        self.jobs.iter().map(|job| job.updates()).max().unwrap_or(0)
+    }
+
+    /// Updates that one dispatch may make, where the device has a limit on their loops.
+    pub fn longest_slice(&self, limit: Option<u32>) -> u32 {
+        let loops = self.jobs.iter().map(|job| job.loops()).max().unwrap_or(1);
+        limit.map_or(u32::MAX, |limit| (limit / loops).max(1))
+    }
+}
+
+/// Numbers that one buffer of this device has at most.
+fn most(device: &Device) -> u32 {
+    u32::try_from(device.largest_buffer() / 4).unwrap_or(MOST).min(MOST)
+}
