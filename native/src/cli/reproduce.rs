@@ -173,53 +173,23 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     }
     let remote = if open.is_empty() { None } else { arguments.pace.remote(terminal)? };
     let manner = arguments.manner(&folder, remote);
-    let count = open.len();
-    let work = |number: usize, wanted: &Wanted, standing: &Standing| {
-        let setup = format!("{}, {}", wanted.plan.config, seeds_words(&standing.missing));
-        terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
-        match wanted.cell.extent(arguments.quick) {
-            None => folder.train(wanted, standing, arguments.quick, &manner, terminal),
-            Some(_) => folder.measure(wanted, arguments.quick, &manner, terminal),
-        }
-    };
-    let mut take = |cell: &Cell, ended: anyhow::Result<(Option<Record>, bool)>| match ended {
-        Ok((record, finished)) => {
-            records.extend(record.map(|record| (cell.name.to_owned(), record)));
-            if !finished {
-                end = Done::Interrupted;
+    for (cell, ended) in folder.train_all(&open, arguments.quick, &manner, terminal) {
+        match ended {
+            Ok((record, finished)) => {
+                records.extend(record.map(|record| (cell.name.to_owned(), record)));
+                if !finished {
+                    end = Done::Interrupted;
+                }
             }
-            Ok(finished)
-        }
-        // The others do not depend on it, and its claims stay unmeasured.
-        Err(error) if matches!(error.downcast_ref(), Some(RunsError::Diverged { .. })) => {
-            terminal.note(format_args!("error: {}: {error:#}", cell.name));
-            if end == Done::Well {
-                end = Done::DoesNotHold;
+            // The others do not depend on it, and its claims stay unmeasured.
+            Err(error) if has_diverged(&error) => {
+                terminal.note(format_args!("error: {}: {error:#}", cell.name));
+                if end == Done::Well {
+                    end = Done::DoesNotHold;
+                }
             }
-            Ok(true)
-        }
-        Err(error) => Err(error),
-    };
-    let open = (1..).zip(&open);
-    if manner.beside {
-        // A card is filled by many seeds: those of all cells go there together.
-        let ended = thread::scope(|scope| {
-            let work = &work;
-            let started: Vec<_> = open
-                .map(|(number, (wanted, standing))| (wanted.cell, scope.spawn(move || work(number, wanted, standing))))
-                .collect();
-            let end = |(cell, thread): (_, thread::ScopedJoinHandle<'_, _>)| {
-                (cell, thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            };
-            started.into_iter().map(end).collect::<Vec<_>>()
-        });
-        // What the others finished is in their records, whatever became of one.
-        ended.into_iter().try_for_each(|(cell, ended)| take(cell, ended).map(drop))?;
-    } else {
-        for (number, (wanted, standing)) in open {
-            if !take(wanted.cell, work(number, wanted, standing))? {
-                break;
-            }
+            // What the others finished is in their records.
+            Err(error) => return Err(error),
         }
     }
     let results = judge(&experiments, &records, arguments.quick, arguments.seeds.as_deref());
@@ -304,8 +274,7 @@ impl ReproduceArgs {
         if self.output.is_some() {
             add(&format!("-o {}", shell_word(&folder.0)));
         }
-        let manner = self.pace.manner(resume, remote);
-        Manner { beside: manner.remote.is_some(), ..manner }
+        self.pace.manner(resume, remote)
     }
 }
 
@@ -314,9 +283,30 @@ fn seeds_words(seeds: &[u64]) -> String {
     format!("seed{} {}", if seeds.len() == 1 { "" } else { "s" }, seed_list(seeds))
 }
 
+/// The record of all seeds of a cell that are finished by now, and whether nothing stopped it.
+type Ending = anyhow::Result<(Option<Record>, bool)>;
+
+fn has_diverged(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(RunsError::Diverged { .. }))
+}
+
+/// Whether what is behind such a cell has to wait: somebody said stop, or something failed that will fail again.
+fn has_stopped(ending: &Ending) -> bool {
+    match ending {
+        Ok((_, finished)) => !finished,
+        Err(error) => !has_diverged(error),
+    }
+}
+
+/// Version of what repeated checks draw: those of another cannot be continued.
+const DRAWS: u32 = 2;
+
 /// A measurement of spread that is not finished: the checks so far.
 #[derive(Serialize, Deserialize)]
 struct Begun {
+    /// What the repeats draw, see [`DRAWS`]; older files have none.
+    #[serde(default)]
+    draws: u32,
     config: String,
     trained_ms: u64,
     spread: Spread,
@@ -406,15 +396,54 @@ impl Folder {
         Ok(())
     }
 
-    /// Trains what is missing of a cell. The record of all seeds that are finished by then, and whether nothing stopped it.
-    fn train(
+    /// Trains what is missing of some cells, each with how it ended; those behind one that stopped are left out.
+    fn train_all(
         &self,
-        wanted: &Wanted,
-        standing: &Standing,
+        open: &[(&Wanted, Standing)],
         quick: bool,
         manner: &Manner,
         terminal: &Terminal,
-    ) -> anyhow::Result<(Option<Record>, bool)> {
+    ) -> Vec<(&'static Cell, Ending)> {
+        let count = open.len();
+        let work = |number: usize, wanted: &Wanted, standing: &Standing, manner: &Manner| {
+            let setup = format!("{}, {}", wanted.plan.config, seeds_words(&standing.missing));
+            terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
+            match wanted.cell.extent(quick) {
+                None => self.train(wanted, standing, quick, manner, terminal),
+                Some(_) => self.measure(wanted, quick, manner, terminal),
+            }
+        };
+        // A card is filled by many seeds: those of all cells that forecast there go there together.
+        let fits = |wanted: &Wanted| {
+            let has = |remote: &Remote| remote.gpu().supports(&wanted.plan.config).is_ok();
+            wanted.cell.extent(quick).is_none() && manner.remote.as_ref().is_some_and(has)
+        };
+        let numbered = (1..).zip(open).map(|(number, (wanted, standing))| (number, *wanted, standing));
+        let (together, alone): (Vec<_>, Vec<_>) = numbered.partition(|(_, wanted, _)| fits(wanted));
+        let (work, beside) = (&work, &Manner { beside: together.len() > 1, ..manner.clone() });
+        let mut ended: Vec<_> = thread::scope(|scope| {
+            let started: Vec<_> = together
+                .into_iter()
+                .map(|(number, wanted, standing)| {
+                    (wanted.cell, scope.spawn(move || work(number, wanted, standing, beside)))
+                })
+                .collect();
+            let end = |thread: thread::ScopedJoinHandle<'_, _>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            started.into_iter().map(|(cell, thread)| (cell, end(thread))).collect()
+        });
+        for (number, wanted, standing) in alone {
+            if ended.iter().any(|(_, ended)| has_stopped(ended)) {
+                break;
+            }
+            ended.push((wanted.cell, work(number, wanted, standing, manner)));
+        }
+        ended
+    }
+
+    /// Trains what is missing of a cell. The record of all seeds that are finished by then, and whether nothing stopped it.
+    fn train(&self, wanted: &Wanted, standing: &Standing, quick: bool, manner: &Manner, terminal: &Terminal) -> Ending {
         let (run, cell) = (self.run(wanted.cell), wanted.cell);
         let elsewhere = standing.lent.as_ref().map_or(&[][..], Record::seeds);
         let session = if run.is_begun()? {
@@ -436,25 +465,26 @@ impl Folder {
     }
 
     /// Measures the spread of a cell's checks. Its record, if nothing stopped it, and whether nothing did.
-    fn measure(
-        &self,
-        wanted: &Wanted,
-        quick: bool,
-        manner: &Manner,
-        terminal: &Terminal,
-    ) -> anyhow::Result<(Option<Record>, bool)> {
+    fn measure(&self, wanted: &Wanted, quick: bool, manner: &Manner, terminal: &Terminal) -> Ending {
         let (cell, config) = (wanted.cell, &wanted.plan.config);
         let run = self.run(cell);
         fs::create_dir_all(run.path()).map_err(RunsError::io("create the folder", run.path()))?;
         let _lock = Lock::take(&run)?;
         let path = self.begun(cell);
         let empty = Spread { seed: config.seed, repeats: 0, updates: 0, checks: Vec::new() };
-        let mut begun = Begun { config: config.to_string(), trained_ms: 0, spread: empty };
+        let mut begun = Begun { draws: DRAWS, config: config.to_string(), trained_ms: 0, spread: empty };
         if path.exists() {
             let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
             begun = serde_json::from_slice(&text)
                 .map_err(|error| RunsError::damaged(&path, format!("is no measurement of mcvl: {error}")))?;
             self.same(wanted, &path, &begun.config, &[begun.spread.seed], &[], None)?;
+            if begun.draws != DRAWS {
+                usage!(
+                    "{} was begun by a version of mcvl whose repeats draw otherwise: remove it to begin anew, or choose \
+                     another folder with -o",
+                    path.display()
+                );
+            }
         }
         let extent = cell.extent(quick).expect("only cells with repeats are measured");
         let control = manner.control();
@@ -462,7 +492,8 @@ impl Folder {
         let trained = || before + u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX);
         let save = |spread: &Spread| -> anyhow::Result<()> {
             terminal.note(format_args!("{}: {} of {} checks repeated", cell.name, spread.checks.len(), extent.checks));
-            let state = Begun { config: config.to_string(), trained_ms: trained(), spread: spread.clone() };
+            let state =
+                Begun { draws: DRAWS, config: config.to_string(), trained_ms: trained(), spread: spread.clone() };
             Ok(write_atomic(&path, &serde_json::to_vec(&state)?)?)
         };
         let mut spread = begun.spread;

@@ -122,6 +122,7 @@ impl Pace {
 }
 
 /// How a session works; no result depends on it.
+#[derive(Clone)]
 pub struct Manner {
     /// Threads, for seeds and for futures.
     pub threads: usize,

@@ -270,6 +270,16 @@ fn repeated_checks_are_measured_and_resumed() {
     let record = json(&fs::read_to_string(folder.join("straight/records/absent-spread.record.json")).unwrap());
     let checks = record["spread"]["checks"].as_array().unwrap();
     assert_eq!((checks.len(), checks[0]["paired"]["margins"].as_array().unwrap().len()), (3, 5));
+    // What an older version began is not continued with other draws.
+    let begun = folder.join("old/cells/absent-spread/spread.json");
+    fs::create_dir_all(begun.parent().unwrap()).unwrap();
+    let config = record["config"].clone();
+    let spread = serde_json::json!({ "seed": record["spread"]["seed"], "repeats": 0, "updates": 0, "checks": [] });
+    let old = serde_json::json!({ "config": config, "trained_ms": 0, "spread": spread }).to_string();
+    fs::write(&begun, &old).unwrap();
+    let refused = ask(folder, &format!("{command} -o old"));
+    assert!(refused.code == 2 && refused.stderr.contains("remove it to begin anew"), "{}", refused.stderr);
+    assert_eq!(fs::read_to_string(&begun).unwrap(), old);
 }
 
 #[test]
