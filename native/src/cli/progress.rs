@@ -121,9 +121,11 @@ impl<'a> Progress<'a> {
     }
 
     fn decisions(&self, views: &[SeedView]) {
+        // Where several displays share stderr, lines say whose they are.
+        let whose = if self.name == self.plan.config.env { String::new() } else { format!("{} ", self.name) };
         for view in views {
             for check in &view.decisions {
-                let line = format!("seed {} #{} {}", view.seed, check.number, check.sentence());
+                let line = format!("{whose}seed {} #{} {}", view.seed, check.number, check.sentence());
                 match &self.display {
                     Display::Bars { multi, .. } => multi.suspend(|| say(line)),
                     _ => say(line),

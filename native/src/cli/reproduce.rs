@@ -348,7 +348,10 @@ impl Folder {
                 self.same(wanted, &record, &own.config, own.seeds(), &[], None)?;
             }
             let lent = lent.filter(|_| own.is_none());
-            return Ok(Standing::new(wanted, own, lent, self.begun(cell).exists()));
+            // What is not to be continued does not matter here.
+            let open = wanted.train && own.is_none() && lent.is_none();
+            let begun = if open { self.begun_measurement(wanted)?.is_some() } else { self.begun(cell).exists() };
+            return Ok(Standing::new(wanted, own, lent, begun));
         }
         let run = self.run(cell);
         if !run.is_begun()? {
@@ -408,10 +411,17 @@ impl Folder {
         let work = |number: usize, wanted: &Wanted, standing: &Standing, manner: &Manner| {
             let setup = format!("{}, {}", wanted.plan.config, seeds_words(&standing.missing));
             terminal.note(format_args!("{number} of {count}: {} ({setup})", wanted.cell.name));
-            match wanted.cell.extent(quick) {
+            let ending = match wanted.cell.extent(quick) {
                 None => self.train(wanted, standing, quick, manner, terminal),
                 Some(_) => self.measure(wanted, quick, manner, terminal),
+            };
+            if let Err(error) = &ending
+                && manner.beside
+            {
+                // The others may go on for hours.
+                terminal.note(format_args!("error: {}: {error:#}", wanted.cell.name));
             }
+            ending
         };
         // A card is filled by many seeds: those of all cells that forecast there go there together.
         let fits = |wanted: &Wanted| {
@@ -420,7 +430,8 @@ impl Folder {
         };
         let numbered = (1..).zip(open).map(|(number, (wanted, standing))| (number, *wanted, standing));
         let (together, alone): (Vec<_>, Vec<_>) = numbered.partition(|(_, wanted, _)| fits(wanted));
-        let (work, beside) = (&work, &Manner { beside: together.len() > 1, ..manner.clone() });
+        let threads = manner.threads.div_ceil(together.len().max(1));
+        let (work, beside) = (&work, &Manner { beside: together.len() > 1, threads, ..manner.clone() });
         let mut ended: Vec<_> = thread::scope(|scope| {
             let started: Vec<_> = together
                 .into_iter()
@@ -464,6 +475,26 @@ impl Folder {
         Ok((record, finished))
     }
 
+    /// A measurement that was begun here, if it can be continued.
+    fn begun_measurement(&self, wanted: &Wanted) -> anyhow::Result<Option<Begun>> {
+        let path = self.begun(wanted.cell);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
+        let begun: Begun = serde_json::from_slice(&text)
+            .map_err(|error| RunsError::damaged(&path, format!("is no measurement of mcvl: {error}")))?;
+        self.same(wanted, &path, &begun.config, &[begun.spread.seed], &[], None)?;
+        if begun.draws != DRAWS {
+            usage!(
+                "{} was begun by a version of mcvl whose repeats draw otherwise: remove it to begin anew, or choose \
+                 another folder with -o",
+                path.display()
+            );
+        }
+        Ok(Some(begun))
+    }
+
     /// Measures the spread of a cell's checks. Its record, if nothing stopped it, and whether nothing did.
     fn measure(&self, wanted: &Wanted, quick: bool, manner: &Manner, terminal: &Terminal) -> Ending {
         let (cell, config) = (wanted.cell, &wanted.plan.config);
@@ -472,20 +503,8 @@ impl Folder {
         let _lock = Lock::take(&run)?;
         let path = self.begun(cell);
         let empty = Spread { seed: config.seed, repeats: 0, updates: 0, checks: Vec::new() };
-        let mut begun = Begun { draws: DRAWS, config: config.to_string(), trained_ms: 0, spread: empty };
-        if path.exists() {
-            let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
-            begun = serde_json::from_slice(&text)
-                .map_err(|error| RunsError::damaged(&path, format!("is no measurement of mcvl: {error}")))?;
-            self.same(wanted, &path, &begun.config, &[begun.spread.seed], &[], None)?;
-            if begun.draws != DRAWS {
-                usage!(
-                    "{} was begun by a version of mcvl whose repeats draw otherwise: remove it to begin anew, or choose \
-                     another folder with -o",
-                    path.display()
-                );
-            }
-        }
+        let begun = self.begun_measurement(wanted)?;
+        let begun = begun.unwrap_or(Begun { draws: DRAWS, config: config.to_string(), trained_ms: 0, spread: empty });
         let extent = cell.extent(quick).expect("only cells with repeats are measured");
         let control = manner.control();
         let (before, started) = (begun.trained_ms, Instant::now());

@@ -222,12 +222,7 @@ impl Session {
     }
 
     /// Where forecasts of this run go besides the processor; the manifest says so.
-    fn remote<'m>(
-        &mut self,
-        manner: &'m Manner,
-        finished: bool,
-        terminal: &Terminal,
-    ) -> anyhow::Result<Option<&'m Remote>> {
+    fn remote(&mut self, manner: &Manner, finished: bool, terminal: &Terminal) -> anyhow::Result<Option<Remote>> {
         let Some(remote) = manner.remote.as_ref().filter(|_| !finished) else { return Ok(None) };
         let supported = remote.gpu().supports(&self.plan.config);
         let place = match &supported {
@@ -242,7 +237,7 @@ impl Session {
         };
         self.manifest.forecasts_on(place);
         self.manifest.write(&self.run, State::Running, &finished_seeds(&self.jobs))?;
-        Ok(supported.ok().map(|()| remote))
+        Ok(supported.ok().map(|()| remote.apart()))
     }
 
     /// Trains to the end or until stopped, and leaves the directory in order.
@@ -256,9 +251,10 @@ impl Session {
         let style = if manner.beside { manner.progress.in_lines() } else { manner.progress };
         let mut progress = Progress::new(&self.plan, name, style, terminal);
         let jobs = std::mem::take(&mut self.jobs);
-        let outcomes = runs::train(jobs, manner.threads, remote, &manner.control(), |views| progress.tick(views));
+        let outcomes =
+            runs::train(jobs, manner.threads, remote.as_ref(), &manner.control(), |views| progress.tick(views));
         progress.finish();
-        let fallen = remote.map(Remote::fallen).unwrap_or_default();
+        let fallen = remote.as_ref().map(Remote::fallen).unwrap_or_default();
         if let Some(why) = fallen.first() {
             let seeds = fallen.len();
             terminal.note(format_args!("note: {seeds} of the seeds went on forecasting on the processor: {why}"));

@@ -61,6 +61,11 @@ impl Remote {
         Self { gpu, fall_back, fallen: Arc::default() }
     }
 
+    /// The same device for other runs, which count for themselves.
+    pub fn apart(&self) -> Self {
+        Self { fallen: Arc::default(), ..self.clone() }
+    }
+
     /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu

@@ -34,14 +34,14 @@ record! {
     Span {
         first: u32,
         count: u32,
-        nothing: f32,
+        negative_zero: f32,
     }
 }
 
 impl Span {
     /// The updates `first..first + count`.
     pub fn new(first: u32, count: u32) -> Self {
-        Self { first, count, nothing: -0.0 }
+        Self { first, count, negative_zero: -0.0 }
     }
 }
 
@@ -272,11 +272,11 @@ impl Packed {
         let parts = |count: u32| 1 + count.div_ceil(LANES);
         let most = self.common.rows.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0);
         // Sums of `terms` for `rows` rows of `columns` columns, by tiles: what is brought, and what is added.
-        let block = 1 + DEPTH * ROWS / 4 / LANES + 1 + DEPTH + 1 + DEPTH;
+        let block = 1 + (DEPTH * ROWS / 4).div_ceil(LANES) + 1 + DEPTH + 1 + DEPTH;
         let tiles = |rows: u32, columns: u32, terms: u32| {
             (1 + rows.div_ceil(ROWS)) * parts(columns) * (1 + terms.div_ceil(DEPTH)) * block
         };
-        let few = |count: u32, terms: u32| parts(count) * (2 + terms);
+        let few = |count: u32, terms: u32| parts(count) * (4 + terms);
         let product = |rows: u32, columns: u32, terms: u32| {
             if columns < ROWS { few(rows * columns, terms) } else { tiles(rows, columns, terms) }
         };

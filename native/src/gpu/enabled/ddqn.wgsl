@@ -1,5 +1,5 @@
 // Updates of Double DQN learners (twin: core/src/agent/ddqn.rs): one workgroup trains one network, many updates per
-// dispatch. Every sum has the twin's order, and the arithmetic is that of exact.wgsl, which stands in front.
+// dispatch. Every sum has the twin's order, and the arithmetic is that of rounding.wgsl, which stands in front.
 //
 // Everything of a network lies in `memory`, from the offsets that its job names: live parameters, target
 // parameters, moments, activations. Networks have two hidden layers; their first layer has only the inputs that
@@ -78,8 +78,8 @@ struct Job {
 struct Span {
     first: u32,
     count: u32,
-    /// Negative zero.
-    nothing: f32,
+    /// See rounding.wgsl.
+    negative_zero: f32,
 }
 
 @group(0) @binding(0) var<storage, read> jobs: array<Job>;
@@ -691,7 +691,7 @@ fn derive_loss(job: Job, work: Work, update: u32, index: u32, thread: u32) {
 fn ddqn(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let index = group.x;
     let span = spans[index];
-    nothing = span.nothing;
+    negative_zero = span.negative_zero;
     let job = jobs[index];
     let at = layout_of(job);
     let work = work_of(job);

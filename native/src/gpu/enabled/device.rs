@@ -14,7 +14,7 @@ use super::super::{AdapterInfo, GpuError};
 use super::arithmetic::Arithmetic;
 use super::tight;
 
-/// A slice of work takes a twentieth of a second; a device that needs this long does not answer.
+/// A slice of work takes a fraction of a second; a device that needs this long does not answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Turns of all loops together after which software devices end every loop of an invocation, whatever its condition
@@ -47,6 +47,8 @@ pub struct Device {
     workgroup: u32,
     /// Bytes that one buffer can have.
     largest: u64,
+    /// Whether kernels can be SPIR-V of our own, see [`tight`].
+    tight: bool,
     device: wgpu::Device,
     queue: Queue,
     /// What the device complained about since it was asked last.
@@ -112,7 +114,7 @@ impl Device {
             max_storage_buffers_per_shader_stage: offered.max_storage_buffers_per_shader_stage,
             ..least.or_worse_values_from(&offered)
         };
-        // Vulkan only: elsewhere the barriers of WGSL are what they should be.
+        // SPIR-V is Vulkan's.
         let tight = adapter.get_info().backend == wgpu::Backend::Vulkan && adapter.features().contains(PASSTHROUGH);
         let required_features = if tight { PASSTHROUGH } else { wgpu::Features::empty() };
         let descriptor = wgpu::DeviceDescriptor {
@@ -149,7 +151,8 @@ impl Device {
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         let workgroup = if info.software { 0 } else { most };
         let largest = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let plain = Self { info, arithmetic: Arithmetic::default(), workgroup, largest, device, queue, complaint };
+        let plain =
+            Self { info, arithmetic: Arithmetic::default(), workgroup, largest, tight, device, queue, complaint };
         let arithmetic = Arithmetic::find(&plain)?;
         Ok(Self { arithmetic, ..plain })
     }
@@ -186,6 +189,12 @@ impl Device {
         self.largest
     }
 
+    /// The same device with kernels as wgpu writes them.
+    #[cfg(test)]
+    pub fn loose(self) -> Self {
+        Self { tight: false, ..self }
+    }
+
     /// The same device with less memory.
     #[cfg(test)]
     pub fn with_buffers_of(self, largest: u64) -> Self {
@@ -215,18 +224,16 @@ impl Device {
         constants: &[(&str, f64)],
         layout: &BindGroupLayout,
     ) -> ComputePipeline {
-        let words = if self.device.features().contains(PASSTHROUGH) {
-            tight::spirv(source, name, constants).ok()
-        } else {
-            None
-        };
+        // What naga does not write here, wgpu may, or it says why.
+        let words = if self.tight { tight::spirv(source, name, constants).ok() } else { None };
         let (module, constants) = match &words {
-            // SAFETY: the words are naga's for a valid kernel, whose indices are those that the packing of jobs made;
-            // reads and writes beyond a buffer are the driver's to stop, as wgpu asks of it.
+            // SAFETY: the words are those of naga for a valid kernel, but for the scope of barriers, which is enough
+            // where no workgroup reads what another one writes. Its loops end, and its indices stay within the buffers
+            // and the workgroup's arrays: the one kernel that comes here, ddqn.wgsl, has them from the sizes and offsets
+            // that ddqn.rs and pool.rs make of the buffers themselves, for settings that `ddqn::supports` let pass.
             Some(words) => {
                 (unsafe { self.device.create_shader_module_passthrough(tight::module(name, words)) }, &[][..])
             }
-            // An error in the source is told by wgpu.
             None => {
                 let source = ShaderSource::Wgsl(source.into());
                 let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };

@@ -13,11 +13,11 @@ use super::device::{Binding, Device};
 use super::transfer::Outcome;
 
 /// Learners at once at most. More wait: they fill any card.
-const SLOTS: u32 = 4096;
-/// Numbers in the two large buffers of an idle device.
+pub const SLOTS: u32 = 4096;
+/// Bytes of one of the two large buffers at most, where the device would take more.
+pub const LARGEST: u64 = 2 << 30;
+/// Numbers in each of them at first.
 const BEGIN: u32 = 4 << 20;
-/// Numbers of four bytes in one of them at most, where the device would take more.
-const MOST: u32 = 1 << 29;
 
 /// Learners of one check on the device.
 #[derive(Debug)]
@@ -171,6 +171,11 @@ impl Pool {
         Ok(checks.iter().map(|check| check.jobs.iter().map(&mut result).collect()).collect())
     }
 
+    /// Whether there is nobody.
+    pub fn is_empty(&self) -> bool {
+        self.free.len() == SLOTS as usize
+    }
+
     /// Makes room.
     pub fn release(&mut self, check: Check) {
         let Check { slots, memory, data, .. } = check;
@@ -190,12 +195,12 @@ impl Check {
 
     /// Updates that one dispatch may make, where the device has a limit on their loops.
     pub fn longest_slice(&self, limit: Option<u32>) -> u32 {
-        let loops = self.jobs.iter().map(|job| job.loops()).max().unwrap_or(1);
-        limit.map_or(u32::MAX, |limit| (limit / loops).max(1))
+        let loops = || self.jobs.iter().map(|job| job.loops()).max().unwrap_or(1);
+        limit.map_or(u32::MAX, |limit| (limit / loops()).max(1))
     }
 }
 
-/// Numbers that one buffer of this device has at most.
+/// Numbers of four bytes that one of the two large buffers has at most.
 fn most(device: &Device) -> u32 {
-    u32::try_from(device.largest_buffer() / 4).unwrap_or(MOST).min(MOST)
+    (device.largest_buffer().min(LARGEST) / 4) as u32
 }

@@ -1,8 +1,9 @@
 //! SPIR-V of kernels in which a workgroup shares its part of the buffers with nobody.
 //!
 //! WGSL's `storageBarrier` orders memory within a workgroup, but naga's SPIR-V asks for the whole device: at each of
-//! them a card then waits for its second cache and forgets its first one. Here the same barriers reach as far as
-//! WGSL says. Metal and DirectX have them so already. Loops are not counted either: these all end.
+//! them a card then waits for its second cache and forgets its first one. Here the same barriers reach as far as WGSL
+//! says. (In Metal they do so anyway; for DirectX naga writes the wide ones, and they stay.) Loops are not counted and
+//! indices not bounded either.
 
 use std::borrow::Cow;
 
@@ -28,7 +29,6 @@ pub fn spirv(source: &str, entry: &str, constants: &[(&str, f64)]) -> Result<Vec
     let (module, info) = pipeline_constants::process_overrides(&module, &info, chosen, &constants)
         .map_err(|error| format!("{entry}: {error}"))?;
     let options = spv::Options {
-        lang_version: (1, 3),
         flags: spv::WriterFlags::empty(),
         zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
         force_loop_bounding: false,

@@ -12,7 +12,7 @@ use mcvl_core::forecast::ForecastError;
 use super::super::{AdapterInfo, GpuError};
 use super::arithmetic::Arithmetic;
 use super::device::Device;
-use super::pool::{Check, Pool};
+use super::pool::{self, Check, Pool};
 use super::transfer::Outcome;
 use super::{ddqn, td3};
 
@@ -23,8 +23,6 @@ const SLICE: Duration = Duration::from_millis(25);
 const FIRST_SLICE: u32 = 4;
 /// How long an idle device waits for the orders of other runs.
 const GATHER: Duration = Duration::from_millis(1);
-/// Bytes of one batch or check at most, where the device would take more.
-const BATCH_BYTES: u64 = 2 << 30;
 
 /// What is to be trained.
 #[derive(Clone, Debug)]
@@ -161,6 +159,11 @@ pub struct Desk {
     thread: Option<JoinHandle<()>>,
 }
 
+/// What runs are told.
+fn failed(error: &GpuError) -> ForecastError {
+    ForecastError::BackEnd(error.to_string())
+}
+
 /// Nothing panics while holding one of these locks.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().expect("no thread panicked")
@@ -194,7 +197,7 @@ impl Desk {
             let ticket = Arc::new(Ticket::new(work.updates()));
             tickets.push(ticket.clone());
             match &state.failure {
-                Some(failure) => ticket.finish(Err(ForecastError::BackEnd(failure.to_string()))),
+                Some(failure) => ticket.finish(Err(failed(failure))),
                 None => state.orders.push(Order { work, ticket }),
             }
         }
@@ -273,7 +276,7 @@ fn is_wanted(tickets: &[Arc<Ticket>]) -> bool {
 
 /// The learners of one check, before they are on the device.
 #[derive(Debug, Default)]
-struct Waiter {
+struct Arrival {
     jobs: Vec<Arc<ddqn::Packed>>,
     tickets: Vec<Arc<Ticket>>,
 }
@@ -287,15 +290,15 @@ struct Worker {
     /// Built for the first job.
     td3: Option<td3::Kernel>,
     /// Checks for which there is no room yet.
-    waiting: VecDeque<Waiter>,
+    arrived: VecDeque<Arrival>,
     running: Vec<Running>,
     slice: u32,
 }
 
 impl Worker {
     fn new(device: Device, room: Arc<Room>) -> Self {
-        let (ddqn, waiting) = (Pool::new(&device), VecDeque::new());
-        Self { device, room, ddqn, td3: None, waiting, running: Vec::new(), slice: FIRST_SLICE }
+        let (ddqn, arrived) = (Pool::new(&device), VecDeque::new());
+        Self { device, room, ddqn, td3: None, arrived, running: Vec::new(), slice: FIRST_SLICE }
     }
 
     fn work(mut self) {
@@ -311,7 +314,7 @@ impl Worker {
     /// What came in; waits if there is nothing else to do. `None` at the end.
     fn orders(&self) -> Option<Vec<Order>> {
         let mut state = lock(&self.room.state);
-        if self.running.is_empty() && self.waiting.is_empty() {
+        if self.running.is_empty() && self.arrived.is_empty() {
             state = self
                 .room
                 .ordered
@@ -328,28 +331,30 @@ impl Worker {
 
     /// Sorts orders: DDQN learners by checks, TD3 learners into as many batches as the memory of the device takes.
     fn take(&mut self, orders: Vec<Order>) {
-        let largest = self.device.largest_buffer().min(BATCH_BYTES);
-        let (mut checks, mut batch): (Vec<Waiter>, _) = (Vec::new(), (Vec::new(), Vec::new()));
+        let largest = self.device.largest_buffer().min(pool::LARGEST);
+        let (mut checks, mut batch): (Vec<Arrival>, _) = (Vec::new(), (Vec::new(), Vec::new()));
         let mut sum = [0u64; 2];
         for Order { work, ticket } in orders {
             if let Some(error) = work.too_large(largest, self.device.loop_limit()) {
-                ticket.finish(Err(ForecastError::BackEnd(error.to_string())));
+                ticket.finish(Err(failed(&error)));
                 continue;
             }
             let bytes = work.bytes();
             match work {
                 Work::Ddqn(packed) => {
-                    let fits = |check: &&mut Waiter| {
+                    let fits = |check: &&mut Arrival| {
                         let together =
                             check.jobs.iter().map(|job| job.bytes()).fold(bytes, |a, b| [a[0] + b[0], a[1] + b[1]]);
-                        check.jobs[0].is_of_the_check_of(&packed) && together.iter().all(|bytes| *bytes <= largest)
+                        check.jobs[0].is_of_the_check_of(&packed)
+                            && check.jobs.len() < pool::SLOTS as usize
+                            && together.iter().all(|bytes| *bytes <= largest)
                     };
                     match checks.last_mut().filter(fits) {
                         Some(check) => {
                             check.jobs.push(packed);
                             check.tickets.push(ticket);
                         }
-                        None => checks.push(Waiter { jobs: vec![packed], tickets: vec![ticket] }),
+                        None => checks.push(Arrival { jobs: vec![packed], tickets: vec![ticket] }),
                     }
                 }
                 Work::Td3(packed) => {
@@ -364,7 +369,7 @@ impl Worker {
             }
         }
         self.start(batch);
-        self.waiting.extend(checks);
+        self.arrived.extend(checks);
     }
 
     fn start(&mut self, (packed, tickets): (Vec<Arc<td3::Packed>>, Vec<Arc<Ticket>>)) {
@@ -385,11 +390,19 @@ impl Worker {
                 self.ddqn.release(check);
             }
         }
-        self.waiting.retain(|waiter| is_wanted(&waiter.tickets));
-        while let Some(waiter) = self.waiting.front() {
-            // What is too large for an empty device was told when it came.
-            let Some(check) = self.ddqn.admit(&self.device, &waiter.jobs)? else { break };
-            let tickets = self.waiting.pop_front().map(|waiter| waiter.tickets).unwrap_or_default();
+        self.arrived.retain(|arrival| is_wanted(&arrival.tickets));
+        while let Some(arrival) = self.arrived.front() {
+            let Some(check) = self.ddqn.admit(&self.device, &arrival.jobs)? else {
+                if self.ddqn.is_empty() {
+                    // What is too large was told when it came; nobody may wait for ever all the same.
+                    let error = GpuError::TooLarge("there is no room for it on an empty device".to_owned());
+                    arrival.tickets.iter().for_each(|ticket| ticket.finish(Err(failed(&error))));
+                    self.arrived.pop_front();
+                    continue;
+                }
+                break;
+            };
+            let tickets = self.arrived.pop_front().map(|arrival| arrival.tickets).unwrap_or_default();
             self.running.push(Running { training: Training::Check(check), tickets, done: 0 });
         }
         Ok(())
@@ -401,7 +414,7 @@ impl Worker {
             return Ok(());
         }
         let start = Instant::now();
-        let mut commands = self.device.commands("slice");
+        let (mut commands, mut most) = (self.device.commands("slice"), 0);
         for running in &mut self.running {
             let longest = running.training.longest_slice(self.device.loop_limit());
             let count = self.slice.min(longest).min(running.training.updates() - running.done);
@@ -411,12 +424,16 @@ impl Worker {
                     Training::Batch(batch) => batch.encode(&mut commands, running.done, count),
                 }
                 running.done += count;
+                most = most.max(count);
             }
         }
         self.ddqn.encode(&self.device, &mut commands);
         self.device.run(commands)?;
-        let share = SLICE.as_secs_f64() / start.elapsed().as_secs_f64().max(1e-6);
-        self.slice = ((f64::from(self.slice) * share.clamp(0.25, 2.0)) as u32).max(1);
+        if most > 0 {
+            // From what was done, which can be less than a slice.
+            let share = SLICE.as_secs_f64() / start.elapsed().as_secs_f64().max(1e-6);
+            self.slice = ((f64::from(most) * share.clamp(0.25, 2.0)) as u32).max(1);
+        }
         for running in &self.running {
             for ticket in &running.tickets {
                 ticket.done.store(running.done.min(ticket.total), Ordering::Relaxed);
@@ -468,10 +485,10 @@ impl Worker {
     fn fail(&mut self, failure: GpuError) {
         let mut state = lock(&self.room.state);
         let running = self.running.drain(..).flat_map(|running| running.tickets);
-        let waiting = self.waiting.drain(..).flat_map(|waiter| waiter.tickets);
+        let waiting = self.arrived.drain(..).flat_map(|arrival| arrival.tickets);
         let orders = state.orders.drain(..).map(|order| order.ticket);
         for ticket in running.chain(waiting).chain(orders.collect::<Vec<_>>()) {
-            ticket.finish(Err(ForecastError::BackEnd(failure.to_string())));
+            ticket.finish(Err(failed(&failure)));
         }
         state.failure.get_or_insert(failure);
     }
