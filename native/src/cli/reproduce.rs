@@ -183,7 +183,6 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
             }
             // The others do not depend on it, and its claims stay unmeasured.
             Err(error) if has_diverged(&error) => {
-                terminal.note(format_args!("error: {}: {error:#}", cell.name));
                 if end == Done::Well {
                     end = Done::DoesNotHold;
                 }
@@ -416,9 +415,9 @@ impl Folder {
                 Some(_) => self.measure(wanted, quick, manner, terminal),
             };
             if let Err(error) = &ending
-                && manner.beside
+                && (manner.beside || has_diverged(error))
             {
-                // The others may go on for hours.
+                // The others go on, perhaps for hours.
                 terminal.note(format_args!("error: {}: {error:#}", wanted.cell.name));
             }
             ending

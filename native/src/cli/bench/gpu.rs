@@ -37,9 +37,10 @@ pub fn bench(arguments: &BenchArgs, terminal: &mut Terminal) -> anyhow::Result<D
         }
     }
     let peak = gpu::peak(arguments.adapter.as_deref(), arguments.time)?;
-    let exact = worlds
-        .first()
-        .map_or(Ok(false), |env| Ok::<_, ConfigError>(device.is_exact(&Config::new(env, Preset::Paper)?)))?;
+    let exact = match worlds.first() {
+        Some(env) => device.is_exact(&Config::new(env, Preset::Paper)?),
+        None => false,
+    };
     let cores = thread::available_parallelism().map_or(1, usize::from);
     if !arguments.json {
         let (most, bytes) = (short(peak.multiply_adds), short(peak.bytes_moved));

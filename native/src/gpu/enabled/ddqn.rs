@@ -260,7 +260,7 @@ impl Packed {
     }
 
     /// Working memory of the kernel, in numbers: activations of both networks and derivatives, in the order of `Work`.
-    pub fn work(&self) -> u32 {
+    fn work(&self) -> u32 {
         let Job { hidden, outputs, .. } = self.job;
         SAMPLES * (8 * hidden + 4 * outputs)
     }
@@ -336,11 +336,15 @@ impl Packed {
         }
     }
 
+    /// Numbers that it has on the device, with the kernel's working memory behind them.
+    pub fn size(&self) -> u32 {
+        self.memory.len() as u32 + self.work()
+    }
+
     /// Bytes of the two large buffers. What jobs share is counted with each.
     pub fn bytes(&self) -> [u64; 2] {
-        let Common { columns, rows, ones, draws, .. } = &*self.common;
-        let data = columns.len() + rows.len() + ones.len() + draws.len() + self.extra.len() + self.corrections.len();
-        [4 * (self.memory.len() as u64 + u64::from(self.work())), 4 * data as u64]
+        let data: usize = self.shared().iter().chain(&self.own()).map(|part| part.len()).sum();
+        [4 * u64::from(self.size()), 4 * data as u64]
     }
 
     /// The learner with what came back: parameters, target and moments, in the order of [`Packed::memory`]. `agent`

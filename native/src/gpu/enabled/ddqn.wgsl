@@ -381,6 +381,25 @@ fn bring_left(a: u32, depth: u32, step: u32, stride: u32, top: u32, count: u32, 
     }
 }
 
+/// Adds all `terms` of the tile at `top` and `edge` to the sums of an invocation's rows; distances as in `bring_left` and
+/// `bring_right`.
+fn sum_tile(
+    a: u32, row_step: u32, left_term: u32, top: u32, count: u32, b: u32, right_term: u32, column_step: u32, edge: u32,
+    columns: u32, terms: u32, thread: u32,
+) {
+    let group = thread / LANES;
+    for (var block = 0u; block < terms; block += DEPTH) {
+        let depth = min(DEPTH, terms - block);
+        workgroupBarrier();
+        bring_left(a + block * left_term, depth, row_step, left_term, top, count, thread);
+        bring_right(b + block * right_term, depth, right_term, column_step, edge, columns, thread);
+        workgroupBarrier();
+        if top + group * ROWS < count {
+            accumulate(depth, group, thread % LANES);
+        }
+    }
+}
+
 /// Writes the finished sums of up to four rows, the first of `rows` that there are, at this distance.
 fn put_sums(sums: vec4<f32>, rows: u32, step: u32, out: u32, finish: u32, gate: u32) {
     memory[out] = finished(sums.x, finish, gate);
@@ -442,16 +461,7 @@ fn product(
                     low = vec4<f32>(memory[start + column]);
                 }
                 high = low;
-                for (var block = 0u; block < inner; block += DEPTH) {
-                    let depth = min(DEPTH, inner - block);
-                    workgroupBarrier();
-                    bring_left(a + block, depth, inner, 1u, top, count, thread);
-                    bring_right(b + block * step, depth, step, stride, edge, columns, thread);
-                    workgroupBarrier();
-                    if row < count {
-                        accumulate(depth, group, lane);
-                    }
-                }
+                sum_tile(a, inner, 1u, top, count, b, step, stride, edge, columns, inner, thread);
                 if column < columns && row < count {
                     let at = row * columns + column;
                     put_sums(low, count - row, columns, out + at, finish, gate + at);
@@ -547,16 +557,7 @@ fn step_layer(
                 let column = edge + lane;
                 low = vec4<f32>(0.0);
                 high = low;
-                for (var block = 0u; block < count; block += DEPTH) {
-                    let depth = min(DEPTH, count - block);
-                    workgroupBarrier();
-                    bring_left(x + block * inputs, depth, 1u, inputs, top, inputs, thread);
-                    bring_right(delta + block * columns, depth, columns, 1u, edge, columns, thread);
-                    workgroupBarrier();
-                    if row < inputs {
-                        accumulate(depth, group, lane);
-                    }
-                }
+                sum_tile(x, 1u, inputs, top, inputs, delta, columns, 1u, edge, columns, count, thread);
                 if column < columns && row < inputs {
                     let index = at + row * columns + column;
                     let rows = min(ROWS, inputs - row);

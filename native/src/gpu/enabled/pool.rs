@@ -10,7 +10,7 @@ use super::super::GpuError;
 use super::arena::Arena;
 use super::ddqn::{GROUPS, Job, LANES, Packed, SOURCE, Span};
 use super::device::{Binding, Device};
-use super::transfer::Outcome;
+use super::transfer::{Outcome, outcomes};
 
 /// Learners at once at most. More wait: they fill any card.
 pub const SLOTS: u32 = 4096;
@@ -76,10 +76,9 @@ impl Pool {
     /// If the device fails.
     pub fn admit(&mut self, device: &Device, jobs: &[Arc<Packed>]) -> Result<Option<Check>, GpuError> {
         let sum = |parts: &[&[u32]]| parts.iter().map(|part| part.len() as u32).sum::<u32>();
-        let numbers = |job: &Packed| job.numbers().len() as u32 + job.work();
         let shared = jobs.first().map_or([&[][..]; 4], |job| job.shared());
         let needed = [
-            jobs.iter().map(|job| numbers(job)).sum(),
+            jobs.iter().map(|job| job.size()).sum(),
             sum(&shared) + jobs.iter().map(|job| sum(&job.own())).sum::<u32>(),
         ];
         if self.free.len() < jobs.len() {
@@ -116,7 +115,7 @@ impl Pool {
             device.write(self.memory.buffer(), 4 * u64::from(place), bytemuck::must_cast_slice(job.numbers()));
             device.write(&self.jobs, at(size_of::<Job>()), bytemuck::bytes_of(&placed));
             device.write(&self.failures, at(size_of::<u32>()), &[0; 4]);
-            place += numbers(job);
+            place += job.size();
         }
         Ok(Some(Check { jobs: jobs.to_vec(), slots, memory, data }))
     }
@@ -142,33 +141,20 @@ impl Pool {
         pass.dispatch_workgroups(last as u32 + 1, 1, 1);
     }
 
-    /// What the jobs of some checks bring back: parameters, target and moments, or 1 + the update whose loss was no
-    /// finite number; check by check.
+    /// What the jobs of some checks bring back: parameters, target and moments; check by check, job by job.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn results(&self, device: &Device, checks: &[&Check]) -> Result<Vec<Vec<Outcome>>, GpuError> {
-        let (mut states, mut ranges) = (Vec::new(), Vec::new());
-        for check in checks {
+    pub fn results(&self, device: &Device, checks: &[&Check]) -> Result<Vec<Outcome>, GpuError> {
+        let jobs = checks.iter().flat_map(|check| {
             let mut place = check.memory.start;
-            for (job, slot) in check.jobs.iter().zip(&check.slots) {
-                states.push((4 * u64::from(*slot), 4));
-                ranges.push((4 * u64::from(place), size_of_val(job.numbers()) as u64));
-                place += job.numbers().len() as u32 + job.work();
-            }
-        }
-        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&device.read(&self.failures, &states)?);
-        let numbers: Vec<f32> = bytemuck::pod_collect_to_vec(&device.read(self.memory.buffer(), &ranges)?);
-        let (mut failures, mut rest) = (failures.into_iter(), &numbers[..]);
-        let mut result = |job: &Arc<Packed>| {
-            let (own, others) = rest.split_at(job.numbers().len());
-            rest = others;
-            match failures.next() {
-                Some(failure) if failure > 0 => Err(failure),
-                _ => Ok(own.to_vec()),
-            }
-        };
-        Ok(checks.iter().map(|check| check.jobs.iter().map(&mut result).collect()).collect())
+            check.jobs.iter().zip(&check.slots).map(move |(job, slot)| {
+                let at = place;
+                place += job.size();
+                (*slot, at, job.numbers().len() as u32)
+            })
+        });
+        outcomes(device, &self.failures, self.memory.buffer(), jobs)
     }
 
     /// Whether there is nobody.

@@ -74,6 +74,30 @@ impl<'a> Parts<'a> {
 /// What a job brings back: its numbers, or 1 + the first update whose loss was no finite number.
 pub type Outcome = Result<Vec<f32>, u32>;
 
+/// What some jobs bring back: each has a slot in `failures` (1 + the first update whose loss was no finite number, 0
+/// without), and a place and so many numbers in `memory`.
+///
+/// # Errors
+/// If the device fails.
+pub fn outcomes(
+    device: &Device,
+    failures: &Buffer,
+    memory: &Buffer,
+    jobs: impl Iterator<Item = (u32, u32, u32)>,
+) -> Result<Vec<Outcome>, GpuError> {
+    let range = |at: u32, len: u32| (4 * u64::from(at), 4 * u64::from(len));
+    let (states, ranges): (Vec<_>, Vec<_>) = jobs.map(|(slot, at, len)| (range(slot, 1), range(at, len))).unzip();
+    let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&device.read(failures, &states)?);
+    let numbers: Vec<f32> = bytemuck::pod_collect_to_vec(&device.read(memory, &ranges)?);
+    let mut rest = &numbers[..];
+    let outcomes = failures.into_iter().zip(ranges).map(|(failure, (_, bytes))| {
+        let (own, others) = rest.split_at(bytes as usize / 4);
+        rest = others;
+        if failure == 0 { Ok(own.to_vec()) } else { Err(failure) }
+    });
+    Ok(outcomes.collect())
+}
+
 /// What a batch of jobs brings back.
 #[derive(Debug)]
 pub struct Returns {
@@ -100,18 +124,7 @@ impl Returns {
     /// # Errors
     /// If the device fails.
     pub fn read(&self, device: &Device) -> Result<Vec<Outcome>, GpuError> {
-        let failures = device.read(&self.failures, &[(0, 4 * self.places.len() as u64)])?;
-        let ranges: Vec<_> = self.places.iter().map(|&(at, len)| (4 * u64::from(at), 4 * u64::from(len))).collect();
-        let values = device.read(&self.memory, &ranges)?;
-        let values: Vec<f32> = bytemuck::pod_collect_to_vec(&values);
-        let failures: Vec<u32> = bytemuck::pod_collect_to_vec(&failures);
-        let mut rest = &values[..];
-        let mut results = Vec::new();
-        for (&(_, len), &failure) in self.places.iter().zip(&failures) {
-            let (own, others) = rest.split_at(len as usize);
-            rest = others;
-            results.push(if failure == 0 { Ok(own.to_vec()) } else { Err(failure) });
-        }
-        Ok(results)
+        let jobs = (0..).zip(&self.places).map(|(slot, &(at, len))| (slot, at, len));
+        outcomes(device, &self.failures, &self.memory, jobs)
     }
 }

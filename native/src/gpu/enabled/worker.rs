@@ -475,7 +475,7 @@ impl Worker {
         let mut of_checks = self.ddqn.results(&self.device, &checks)?.into_iter();
         done.iter()
             .map(|running| match &running.training {
-                Training::Check(_) => Ok(of_checks.next().expect("every check has results")),
+                Training::Check(_) => Ok(of_checks.by_ref().take(running.tickets.len()).collect()),
                 Training::Batch(batch) => batch.results(&self.device),
             })
             .collect()
