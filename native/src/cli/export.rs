@@ -94,7 +94,7 @@ pub fn export(arguments: &ExportArgs, terminal: &mut Terminal) -> anyhow::Result
                 .map_err(|error| RunsError::damaged(&run.run().manifest(), format!("its time `{started}`: {error}")))?;
             export::tensorboard(&seeds, started)
         }
-        Format::Safetensors => export::weights(&seeds)?,
+        Format::Safetensors => export::weights(&run, &seeds)?,
     };
     if files.is_empty() {
         usage!("{} has finished no leg yet: there are no weights to export", arguments.run.display());

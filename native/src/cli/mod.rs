@@ -153,7 +153,11 @@ pub fn main() -> ExitCode {
         }
     };
     let mut terminal = Terminal::new(cli.global.color, cli.global.quiet, cli.global.verbose);
-    let result = run(cli.command, &mut terminal).and_then(|done| Ok(terminal.out.flush().map(|()| done)?));
+    let result = run(cli.command, &mut terminal).and_then(|done| match terminal.out.flush() {
+        // That nobody reads to the end changes no verdict.
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(done),
+    });
     // Files name themselves in their errors; without a name it is that of the output.
     let result =
         result.map_err(|error| if is_full_stdout(&error) { error.context("cannot write to stdout") } else { error });
@@ -162,7 +166,7 @@ pub fn main() -> ExitCode {
         Ok(Done::DoesNotHold) => ExitCode::from(1),
         Ok(Done::Mismatch) => ExitCode::from(4),
         Ok(Done::Interrupted) => ExitCode::from(130),
-        // Whoever read stdout has seen enough.
+        // Results were streamed, and whoever read them has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             say(format_args!("error: {error:#}"));

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use mcvl::page::{self, Modules, Tape};
-use mcvl::report::claims::Summary;
+use mcvl::report::claims::{Summary, plural};
 use mcvl::report::expression::Expression;
 use mcvl::report::{html, plot};
 use mcvl::runs::{
@@ -35,7 +35,7 @@ Examples:
 
 Expressions: numbers like 45 or 1e-9, + - * /, comparisons, and, or, not, fraction(...) of
 seeds; metrics like mc.performance, baseline.return.low, mc.recall. Every
-expression has to hold for every run.")]
+expression has to hold for every run, and of an unfinished one none does.")]
 pub struct CompareArgs {
     /// Run directories
     #[arg(required = true, value_name = "RUN")]
@@ -62,7 +62,19 @@ pub fn compare(arguments: &CompareArgs, terminal: &mut Terminal) -> anyhow::Resu
             let holds = assertion
                 .evaluate(summary)
                 .map_err(|error| Usage(format!("--assert on {}: {error}", set.path.display())))?;
-            judged.push((set.path.display().to_string(), assertion.to_string(), holds));
+            // What is claimed of a run is claimed of all its seeds.
+            judged.push((
+                set.path.display().to_string(),
+                assertion.to_string(),
+                holds && summary.unfinished.is_empty(),
+            ));
+        }
+        if !arguments.assertions.is_empty() && !summary.unfinished.is_empty() {
+            let (open, planned) = (summary.unfinished.len(), plural(set.planned.len() as u64, "seed"));
+            let path = set.path.display();
+            terminal.note(format_args!(
+                "note: {open} of {planned} of {path} unfinished, so nothing is held to be true of it"
+            ));
         }
     }
     if arguments.json {

@@ -189,16 +189,24 @@ impl Session {
         Ok(Self { run, plan, manifest, jobs, _lock: lock })
     }
 
-    /// Takes up a run where it stopped, if `fits` says that its plan is the wanted one. Everything is
-    /// checked before anything is changed.
-    pub fn resume(run: RunDir, fits: impl FnOnce(&Plan) -> anyhow::Result<()>) -> anyhow::Result<Self> {
+    /// The plan of a run that is to be resumed.
+    pub fn plan_of(run: &RunDir) -> anyhow::Result<Plan> {
         if !run.is_begun()? {
             usage!("there is no run in {} to resume: leave --resume out to begin one", run.path().display());
         }
+        let plan = Plan::read(run)?;
+        Manifest::of_run(run)?.iter().try_for_each(|manifest| manifest.check_plan(run))?;
+        Ok(plan)
+    }
+
+    /// Takes up a run where it stopped, if `fits` says that its plan is the wanted one. Everything is
+    /// checked before anything is changed.
+    pub fn resume(run: RunDir, fits: impl FnOnce(&Plan) -> anyhow::Result<()>) -> anyhow::Result<Self> {
+        Self::plan_of(&run)?;
         let lock = Lock::take(&run)?;
-        let plan = Plan::read(&run)?;
+        // Read again: now nobody else writes.
+        let plan = Self::plan_of(&run)?;
         let mut manifest = Manifest::of_run(&run)?.unwrap_or_else(Manifest::begin);
-        manifest.check_plan(&run)?;
         fits(&plan)?;
         let resume = |job: Job| {
             let finished = manifest.knows(&run, &job.dir);
@@ -260,7 +268,10 @@ impl Session {
             terminal.note(format_args!("note: {seeds} of the seeds went on forecasting on the processor: {why}"));
             self.manifest.forecasts_on(format!("processor in {seeds} seeds: {why}"));
         }
-        if !before {
+        if manner.beside {
+            // The clock of sessions side by side counts the others' work, too.
+            self.manifest.forget_time();
+        } else if !before {
             self.manifest.add_time(begun.elapsed());
         }
 
@@ -281,6 +292,7 @@ impl Session {
         }
         let open = self.plan.seeds.len() - finished.len() - diverged.len();
         if open > 0 {
+            diverged.iter().for_each(|error| terminal.note(format_args!("error: {error}")));
             self.manifest.write(&self.run, State::Interrupted, &finished)?;
             return Ok(Ended::Interrupted(open));
         }

@@ -82,7 +82,7 @@ mod tests {
     #[test]
     fn what_mcvl_writes_is_told_from_what_others_do() {
         let config = Config::new("box-moving", Preset::Paper).unwrap();
-        let set = RunSet { path: "run".into(), config, seeds: Vec::new() };
+        let set = RunSet { path: "run".into(), config, planned: Vec::new(), seeds: Vec::new() };
         let ours = [
             (Kind::Svg, mcvl::report::plot::curves(&set).svg().into_bytes()),
             (Kind::Page, mcvl::page::whole(None, None).into_bytes()),

@@ -2,7 +2,7 @@
 
 use std::env;
 use std::fmt::Display;
-use std::io::{self, BufWriter, IsTerminal as _, Stdout, Write};
+use std::io::{self, BufWriter, ErrorKind, IsTerminal as _, Stdout, Write};
 
 use clap::ValueEnum;
 
@@ -19,10 +19,46 @@ pub enum Color {
     Never,
 }
 
+/// stdout that may lose its reader, who has then seen enough: what is written after that is lost, and the command goes on
+/// to its end and its exit code. Who streams results flushes them, and learns of it there.
+pub struct Output {
+    stdout: Stdout,
+    lost: bool,
+}
+
+impl Output {
+    fn new() -> Self {
+        Self { stdout: io::stdout(), lost: false }
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.lost {
+            return Ok(bytes.len());
+        }
+        match self.stdout.write(bytes) {
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => {
+                self.lost = true;
+                Ok(bytes.len())
+            }
+            other => other,
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self.stdout.flush() {
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => self.lost = true,
+            other => other?,
+        }
+        if self.lost { Err(ErrorKind::BrokenPipe.into()) } else { Ok(()) }
+    }
+}
+
 /// Where output goes and how it looks.
 pub struct Terminal {
     /// Results.
-    pub out: BufWriter<Stdout>,
+    pub out: BufWriter<Output>,
     /// Whether results are coloured.
     pub color: bool,
     /// Only results and errors.
@@ -40,7 +76,7 @@ impl Terminal {
             // An empty NO_COLOR counts as not set (no-color.org).
             Color::Auto => io::stdout().is_terminal() && env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()),
         };
-        Self { out: BufWriter::new(io::stdout()), color, quiet, verbose }
+        Self { out: BufWriter::new(Output::new()), color, quiet, verbose }
     }
 
     /// A message for people, on stderr.

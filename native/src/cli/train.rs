@@ -106,16 +106,22 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
     if !arguments.resume {
         arguments.has_claims(&plan)?;
     }
+    let fits = |found: &Plan| {
+        same_settings(&run, found, &plan, &resolved, arguments)?;
+        arguments.has_claims(found)
+    };
+    if arguments.dry_run && arguments.resume {
+        let found = Session::plan_of(&run)?;
+        fits(&found)?;
+        return dry_run(arguments, &found, terminal);
+    }
     if arguments.dry_run {
         return dry_run(arguments, &plan, terminal);
     }
     stop_on_signals()?;
     let remote = arguments.pace.remote(terminal)?;
     let session = if arguments.resume {
-        Session::resume(run.clone(), |found| {
-            same_settings(&run, found, &plan, &resolved, arguments)?;
-            arguments.has_claims(found)
-        })?
+        Session::resume(run.clone(), fits)?
     } else {
         Session::begin(arguments.place(run)?, plan, arguments.overwrite)?
     };

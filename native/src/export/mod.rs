@@ -43,15 +43,17 @@ pub fn tapes(run: &Reader, seeds: &[&SeedRun], wanted: &dyn Fn(u32) -> bool) -> 
     seeds.iter().map(tape).collect()
 }
 
-/// The weights at the end of every finished leg.
+/// The weights at the end of every finished leg. Of a finished seed the manifest vouches for them; of one under way
+/// nothing does yet, except that they are tensors.
 ///
 /// # Errors
 /// If a file is missing, or is not what was written.
-pub fn weights(seeds: &[&SeedRun]) -> Result<Vec<File>, RunsError> {
+pub fn weights(run: &Reader, seeds: &[&SeedRun]) -> Result<Vec<File>, RunsError> {
     let mut files = Vec::new();
     for seed in seeds {
         for end in &seed.ends {
             let path = seed.dir().weights(end.arm);
+            run.check_file(&path)?;
             let bytes = fs::read(&path).map_err(RunsError::io("read", &path))?;
             SafeTensors::deserialize(&bytes)
                 .map_err(|error| RunsError::damaged(&path, format!("holds no tensors: {error}")))?;

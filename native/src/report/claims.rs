@@ -29,11 +29,11 @@ pub struct Summary {
     pub variant: String,
     /// Seeds, ascending.
     pub seeds: Vec<u64>,
-    /// Those whose planned legs are not all finished: their finished legs count, the others do not.
+    /// Planned ones that lack a leg, begun or not: their finished legs count, the others do not.
     pub unfinished: Vec<u64>,
     /// Every leg that at least one seed finished.
     pub arms: Vec<ArmSummary>,
-    /// Decisions of the checked learner over all seeds, where there is one.
+    /// Decisions of the checked learner over the seeds that finished its leg.
     pub verdicts: Option<Verdicts>,
     /// What the experiment claims.
     pub claims: Vec<Claim>,
@@ -184,10 +184,8 @@ impl Summary {
     /// Summary of a run directory.
     pub fn new(set: &RunSet) -> Self {
         let arms: Vec<ArmSummary> = Arm::ALL.into_iter().filter_map(|arm| arm_summary(set, arm)).collect();
-        let unfinished = set.seeds.iter().filter(|seed| !seed.complete).map(|seed| seed.seed).collect();
         Self {
-            unfinished,
-            verdicts: set.seeds.iter().filter_map(Verdicts::of_seed).reduce(Verdicts::plus),
+            unfinished: set.unfinished(),
             ..Self::of_ends(&set.config, set.seeds.iter().map(|seed| seed.seed).collect(), arms)
         }
     }
@@ -283,7 +281,7 @@ impl Summary {
         let count = plural(self.seeds.len() as u64, "seed");
         let mut text = format!("{}, {} world: {count} ({})\n", self.title, self.variant, seed_list(&self.seeds));
         if !self.unfinished.is_empty() {
-            text += &wrapped("unfinished, their open legs are not counted: ", &seed_list(&self.unfinished), 80);
+            text += &wrapped("unfinished, open legs are not counted: seeds ", &seed_list(&self.unfinished), 80);
         }
         text += "\n              observed return           performance               hacked\n";
         for leg in &self.arms {
@@ -540,6 +538,11 @@ mod tests {
         set.seeds[1].ends.retain(|end| end.arm != Arm::Mc);
         let summary = Summary::new(&set);
         assert_eq!((summary.arm(Arm::Mc).unwrap().seeds.len(), summary.unfinished.as_slice()), (1, &[1][..]));
+        let finished = samples::set(&[samples::Outcome::Intended]);
+        assert_eq!(summary.verdicts, Summary::new(&finished).verdicts, "decisions of an open leg do not count either");
+        set.planned.push(7);
+        let summary = Summary::new(&set);
+        assert_eq!((summary.seeds, summary.unfinished), (vec![0, 1], vec![1, 7]), "seeds that were not begun");
         for seed in &mut set.seeds {
             seed.ends.clear();
         }

@@ -40,8 +40,10 @@ pub fn spec() -> EnvSpec {
 
 /// A run directory with one seed per outcome.
 pub fn set(outcomes: &[Outcome]) -> RunSet {
-    let seeds = outcomes.iter().enumerate().map(|(index, outcome)| seed(index as u64, *outcome)).collect();
-    RunSet { path: PathBuf::from("runs/box-moving"), config: config(), seeds }
+    let seeds: Vec<SeedRun> =
+        outcomes.iter().enumerate().map(|(index, outcome)| seed(index as u64, *outcome)).collect();
+    let planned = seeds.iter().map(|seed| seed.seed).collect();
+    RunSet { path: PathBuf::from("runs/box-moving"), config: config(), planned, seeds }
 }
 
 /// Ten seeds: eight as intended, one that missed a hack, one that stayed at the Safe policy.

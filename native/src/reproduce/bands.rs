@@ -69,6 +69,12 @@ pub fn bands(records: &BTreeMap<String, Record>, quick: bool) -> String {
     serde_json::to_string(&worlds).expect("bands are plain data") + "\n"
 }
 
+/// Whether a text is what [`bands`] writes.
+pub fn is_bands(text: &str) -> bool {
+    let worlds: Result<BTreeMap<String, Vec<BTreeMap<String, serde_json::Value>>>, _> = serde_json::from_str(text);
+    worlds.is_ok_and(|worlds| worlds.values().flatten().all(|entry| entry.contains_key("title")))
+}
+
 impl<'a> Entry<'a> {
     fn of(record: &Record, arm: Arm, title: &'a str) -> Option<Self> {
         let summary = record.summary.as_ref()?;
@@ -119,5 +125,9 @@ mod tests {
         let of = |record: &Record, quick: bool| bands(&[("box".to_owned(), record.clone())].into(), quick);
         assert_eq!(of(&part, false), "{}\n");
         assert!(of(&whole, false).contains("\"seeds\":10") && of(&part, true).contains("\"seeds\":4"));
+        assert!(is_bands(&of(&whole, false)) && is_bands("{}\n"));
+        assert!(
+            ["", "notes", "[1]", r#"{"a": 1}"#, r#"{"box-moving": [{"step": 1}]}"#].iter().all(|text| !is_bands(text))
+        );
     }
 }

@@ -2,7 +2,8 @@
 //! claim's text; none was chosen by what came out.
 //!
 //! Three readings recur. *About* a value: within a tenth of it. *Nearer*: on that side of the middle. *Above* another
-//! mean ([`Judged::by`]): the interval of the difference over seeds is, too.
+//! mean, where [`Judged::by`] says so: the interval of the difference over seeds is, too. The other checks (the baselines
+//! of E6, E10 and E17 among them) compare means, or shares over all seeds, themselves.
 
 use mcvl_core::record::Arm;
 

@@ -14,6 +14,11 @@ impl Record {
         self.summary.is_some() && self.arms.iter().all(told)
     }
 
+    /// Whether a run with this seal is in it.
+    pub fn is_of(&self, seal: &str) -> bool {
+        self.seal.split(SEPARATOR).any(|part| part == seal)
+    }
+
     /// Both together. Of a seed that is in both this record's numbers count, so the order matters only where the two
     /// disagree; the wall time of the others alone is not known then. None where one of them
     /// [cannot be joined](Self::is_joinable) or their setting is not valid.
@@ -123,6 +128,9 @@ mod tests {
             (joined.trained_ms, joined.commit.as_deref(), joined.cpu.as_str()),
             (Some(12), Some("a"), "one; two")
         );
+        let sealed = |seal: &str, seeds: &[u64]| Record { seal: seal.into(), ..of(seeds) };
+        let both = sealed("a", &[0]).join(&sealed("b", &[1])).unwrap();
+        assert!(both.is_of("a") && both.is_of("b") && !both.is_of("c"));
         let again = joined.join(&Record { cpu: "one".into(), ..of(&[2]) }).unwrap();
         assert_eq!((again.cpu.as_str(), again.seeds()), ("one; two", &[0, 1, 2][..]));
     }

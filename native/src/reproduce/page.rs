@@ -20,14 +20,15 @@ pub fn markdown(results: &Results, figures: &str) -> String {
     }
     text.push_str("\n\nAn interval is the 95 % interval of a mean over seeds (percentile bootstrap, 1000 resamples); ");
     text.push_str(
-        "a value at the end is the mean of the last five evaluation points of a leg. A claim that one mean is ",
+        "a value at the end is the mean of the last five evaluation points of a leg. Where E6, E8, E13 to E16 and E18 ",
     );
     text.push_str(
-        "above another is *undecided* where the interval of their difference, seed by seed, contains 0. Hacked: ",
+        "claim that one mean is above another, that is *undecided* where the interval of their difference, seed by seed, ",
     );
     text.push_str(
-        "at the end the return is above the performance. E15 has one seed; its intervals are over its checks.\n",
+        "contains 0; other claims, those about E6's baselines among them, compare the means themselves. Hacked: at the ",
     );
+    text.push_str("end the return is above the performance. E15 has one seed; its intervals are over its checks.\n");
     let mut target = "";
     for experiment in EXPERIMENTS {
         let rows: Vec<&Row> = results.claims.iter().filter(|row| row.experiment == experiment.id).collect();

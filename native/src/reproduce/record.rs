@@ -107,8 +107,9 @@ impl Curve {
 impl Record {
     /// The record of the finished seeds of a run.
     pub fn of_run(cell: &str, set: &RunSet, manifest: &Manifest) -> Self {
-        let finished = set.seeds.iter().filter(|seed| seed.complete).cloned().collect();
-        let set = RunSet { path: set.path.clone(), config: set.config.clone(), seeds: finished };
+        let finished: Vec<SeedRun> = set.seeds.iter().filter(|seed| seed.complete).cloned().collect();
+        let planned = finished.iter().map(|seed| seed.seed).collect();
+        let set = RunSet { path: set.path.clone(), config: set.config.clone(), planned, seeds: finished };
         let arms = Arm::ALL.into_iter().filter_map(|arm| ArmRecord::of(&set, arm)).collect();
         Self { summary: Some(Summary::new(&set)), arms, ..Self::bare(cell, &set.config.to_string(), manifest) }
     }

@@ -95,7 +95,7 @@ impl Job {
             return Err(RunsError::damaged(&path, "is of another run than run.toml describes"));
         }
         check_logs(&self.dir, &checkpoint.logs)?;
-        read::check_tapes(&self.dir, checkpoint.logs.checks)?;
+        read::check_tapes(&self.dir, &checkpoint.logs)?;
         // Learners that have yet to begin fork from the switch.
         let switch = match checkpoint.finished {
             0 => None,

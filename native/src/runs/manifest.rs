@@ -101,9 +101,12 @@ pub struct Manifest {
     /// When it ended last (UTC).
     pub ended: Option<String>,
     /// Wall time of training so far, milliseconds, without the pauses between sessions; what a killed session
-    /// did is not in it. Runs of before this was counted have none.
+    /// did is not in it. Runs of before this was counted have none, and those that were trained beside others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trained_ms: Option<u64>,
+    /// Whether other runs were trained at the same time, so that no clock tells what this one took.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub beside: bool,
     /// How the run stands.
     pub state: State,
     /// Finished files, by path in the run directory with `/` between folders.
@@ -129,6 +132,7 @@ impl Manifest {
             started: now(),
             ended: None,
             trained_ms: Some(0),
+            beside: false,
             state: State::Running,
             files: BTreeMap::new(),
             seal: String::new(),
@@ -148,13 +152,19 @@ impl Manifest {
         self.trained_ms = self.trained_ms.map(|before| before.saturating_add(more));
     }
 
-    /// Wall time of training: counted, or in runs of before it was, from begin to end with the pauses.
+    /// Gives up counting: other runs are trained at the same time.
+    pub fn forget_time(&mut self) {
+        (self.trained_ms, self.beside) = (None, true);
+    }
+
+    /// Wall time of training: counted, or in runs of before it was, from begin to end with the pauses. None where other
+    /// runs were trained at the same time.
     pub fn training_time(&self) -> Option<Duration> {
         let span = || {
             let parse = |text: &str| humantime::parse_rfc3339(text).ok();
             parse(self.ended.as_deref()?)?.duration_since(parse(&self.started)?).ok()
         };
-        self.trained_ms.map(Duration::from_millis).or_else(span)
+        self.trained_ms.map(Duration::from_millis).or_else(|| span().filter(|_| !self.beside))
     }
 
     fn sealed(&self) -> String {
@@ -261,6 +271,10 @@ impl Manifest {
         let text = serde_json::to_string_pretty(self).expect("a manifest is plain data") + "\n";
         write_atomic(&run.manifest(), text.as_bytes())
     }
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// Path inside the run directory, the same on every platform.

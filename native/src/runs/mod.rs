@@ -77,8 +77,18 @@ pub struct RunSet {
     pub path: PathBuf,
     /// Configuration that all seeds share (its `seed` is the first one).
     pub config: Config,
-    /// Seeds in ascending order.
+    /// Seeds that are to be trained, begun or not, ascending; of the folder of a seed that one.
+    pub planned: Vec<u64>,
+    /// Those that were begun, ascending.
     pub seeds: Vec<SeedRun>,
+}
+
+impl RunSet {
+    /// Planned seeds that lack a leg, ascending.
+    pub fn unfinished(&self) -> Vec<u64> {
+        let done = |seed: &u64| self.seeds.iter().any(|run| run.seed == *seed && run.complete);
+        self.planned.iter().copied().filter(|seed| !done(seed)).collect()
+    }
 }
 
 /// Why something cannot be done with a run directory. The kinds differ in what the caller can do.

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use mcvl_core::config::{Against, Config, KEYS, Learner, Preset, Scheme};
+use mcvl_core::config::{Against, Config, KEYS, Learner, Preset, Scheme, Simulator};
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
@@ -82,6 +82,10 @@ pub fn train_command(config: &Config, seeds: &[u64], legs: &[Arm]) -> String {
     }
     for (key, value) in config.changes().iter().filter(|(key, _)| *key != "seed" && *key != "agent") {
         command += &format!(" --set {key}={value}");
+    }
+    // Which simulator is meant by none depends on the program.
+    if config.physics == Simulator::ClosedForm && config.experiment().name == "reacher" {
+        command += " --set physics=closed-form";
     }
     // Both are what it trains unasked.
     if legs != [Arm::Baseline, Arm::Mc] {
@@ -228,6 +232,17 @@ mod tests {
         assert_eq!((count("scheme=discard"), count("scheme=each-step"), count("scheme=none")), (0, 0, 0));
         assert_eq!(count("against=current"), 100, "the current policy is not trained");
         assert_eq!(count("practice=true practice_reward_updates=7"), 214);
+    }
+
+    #[test]
+    fn a_command_names_the_simulator_whatever_the_program_takes_by_itself() {
+        let command = |text: &str| train_command(&text.parse().unwrap(), &[0, 1], &[Arm::Baseline, Arm::Mc]);
+        assert_eq!(
+            command("env=reacher preset=small"),
+            "mcvl train reacher --preset small --set physics=closed-form --seeds 0..2"
+        );
+        assert_eq!(command("env=reacher physics=mujoco"), "mcvl train reacher --set physics=mujoco --seeds 0..2");
+        assert_eq!(command("env=box-moving"), "mcvl train box-moving --seeds 0..2");
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! Reading run directories back.
 
 use std::fs::{self, File};
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 
 use mcvl_core::config::Learner;
 use mcvl_core::record::{CheckRecord, Event};
 
 use super::chain::{Chain, LedgerLine, sha256};
+use super::checkpoint::LogMarks;
 use super::manifest::ALTERED;
 use super::{FileDigest, Plan, Reader, RunDir, RunSet, RunsError, SeedDir, SeedRun};
 
@@ -68,7 +69,12 @@ impl SeedRun {
 /// Complete lines of a log. A last line without its end is one that is being written, or was when the
 /// process was killed.
 pub fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
-    let mut reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?);
+    lines_until(path, u64::MAX)
+}
+
+/// Complete lines of the first `bytes` of a log.
+fn lines_until(path: &Path, bytes: u64) -> Result<Vec<String>, RunsError> {
+    let mut reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?.take(bytes));
     let mut lines = Vec::new();
     loop {
         let mut line = Vec::new();
@@ -87,12 +93,16 @@ pub fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
 /// # Errors
 /// If the file cannot be read or a line has not the form of one.
 pub fn ledger(dir: &SeedDir) -> Result<Vec<LedgerLine>, RunsError> {
+    ledger_until(dir, u64::MAX)
+}
+
+fn ledger_until(dir: &SeedDir, bytes: u64) -> Result<Vec<LedgerLine>, RunsError> {
     let path = dir.ledger();
     let parse = |(number, line): (usize, &String)| {
         LedgerLine::parse(line)
             .ok_or_else(|| RunsError::damaged(&path, format!("line {} is no line of a ledger", number + 1)))
     };
-    lines(&path)?.iter().enumerate().map(parse).collect()
+    lines_until(&path, bytes)?.iter().enumerate().map(parse).collect()
 }
 
 /// A check with its films, which the line of the ledger vouches for.
@@ -149,7 +159,9 @@ pub fn check_chain(plan: &Plan, dir: &SeedDir, lines: &[LedgerLine]) -> Result<u
     }
 }
 
-/// Checks the tapes of the first `checks` lines of a seed's ledger.
-pub fn check_tapes(dir: &SeedDir, checks: u32) -> Result<(), RunsError> {
-    (1..=checks).zip(ledger(dir)?).try_for_each(|(number, line)| check_tape(dir, number, &line))
+/// Checks the tapes of the checks that a checkpoint counts. What a killed process wrote to the ledger after it is not
+/// looked at: to resume cuts it off.
+pub fn check_tapes(dir: &SeedDir, marks: &LogMarks) -> Result<(), RunsError> {
+    let lines = ledger_until(dir, marks.ledger.bytes)?;
+    (1..=marks.checks).zip(lines).try_for_each(|(number, line)| check_tape(dir, number, &line))
 }

@@ -59,11 +59,12 @@ impl Reader {
     /// # Errors
     /// If a file of it cannot be read, or is not what was written.
     pub fn set(&self) -> Result<RunSet, RunsError> {
-        let wanted = self.plan.seeds.iter().filter(|seed| self.place.seed.is_none_or(|only| only == **seed));
+        let named = |seed: &u64| self.place.seed.is_none_or(|only| only == *seed);
+        let planned: Vec<u64> = self.plan.seeds.iter().copied().filter(named).collect();
         let begun = |dir: &SeedDir| dir.path().exists() || self.is_finished(dir);
-        let folders = wanted.map(|seed| self.run().seed(*seed)).filter(begun);
+        let folders = planned.iter().map(|seed| self.run().seed(*seed)).filter(begun);
         let seeds = folders.map(|dir| self.seed(&dir)).collect::<Result<_, _>>()?;
-        Ok(RunSet { path: self.path.clone(), config: self.plan.config.clone(), seeds })
+        Ok(RunSet { path: self.path.clone(), config: self.plan.config.clone(), planned, seeds })
     }
 
     /// One seed.
@@ -92,6 +93,15 @@ impl Reader {
         Ok(lines)
     }
 
+    /// Compares a file of the run with its digest in the manifest, where that has one.
+    ///
+    /// # Errors
+    /// If it is missing, cannot be read, or is not what was written.
+    pub fn check_file(&self, path: &Path) -> Result<(), RunsError> {
+        let expected = self.manifest.as_ref().and_then(|manifest| manifest.digest(self.run(), path));
+        told(path, expected.map_or(Ok(None), |expected| expected.mismatch(path))?)
+    }
+
     fn is_finished(&self, dir: &SeedDir) -> bool {
         self.manifest.as_ref().is_some_and(|manifest| manifest.knows(self.run(), dir))
     }
@@ -110,9 +120,14 @@ impl Reader {
             true => read::ledger_mismatch(expected, &self.plan, dir)?,
             false => expected.mismatch(&path)?,
         };
-        match what {
-            Some(what) => Err(RunsError::damaged(&path, format!("{what}; put it back, or train the run anew"))),
-            None => Ok(()),
-        }
+        told(&path, what)
+    }
+}
+
+/// What is wrong with a file, and what to do.
+fn told(path: &Path, what: Option<String>) -> Result<(), RunsError> {
+    match what {
+        Some(what) => Err(RunsError::damaged(path, format!("{what}; put it back, or train the run anew"))),
+        None => Ok(()),
     }
 }

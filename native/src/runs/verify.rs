@@ -124,11 +124,11 @@ fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification)
     }
     let checked = Checkpoint::read(&dir.state()).and_then(|checkpoint| {
         check_logs(dir, &checkpoint.logs)?;
-        read::check_tapes(dir, checkpoint.logs.checks)
+        read::check_tapes(dir, &checkpoint.logs)
     });
     match checked {
         Ok(()) => {}
-        Err(RunsError::Damaged { path, why }) => seen.find(run, &path, why),
+        Err(RunsError::Damaged { path, why }) => seen.find_once(run, &path, why),
         Err(RunsError::Io { path, source, .. }) if source.kind() == ErrorKind::NotFound => {
             seen.find(run, &path, "missing");
         }

@@ -646,6 +646,11 @@ fn a_reader_that_leaves_is_no_failure() {
         let said: Vec<&str> = answer.stderr.lines().filter(|line| !line.contains("XDG_RUNTIME_DIR")).collect();
         assert_eq!((answer.code, &said[..]), (0, &[][..]), "{arguments}");
     }
+    // Nor does it change a verdict.
+    let mut command = program(folder.path());
+    let mut child = command.args(["compare", "run", "--assert", "1 > 2"]).stdout(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(1));
 }
 
 #[test]

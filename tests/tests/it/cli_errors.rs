@@ -411,6 +411,10 @@ fn training_that_diverges_says_so() {
     for part in ["seed 0: ", "is not a finite number at step", "lower the learning rates"] {
         assert!(answer.stderr.contains(part), "{}", answer.stderr);
     }
+    // Also where others were stopped meanwhile.
+    let answer = ask(folder.path(), "train box-moving --quick --set lr=1e30 --seeds 0..2000 --max-time 2s -o stopped");
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
+    assert!(answer.stderr.contains("error: seed 0: ") && answer.stderr.contains("unfinished"), "{}", answer.stderr);
     // What led there can be read.
     let steps = fs::read_to_string(folder.path().join("run/seed-0/steps.csv")).unwrap();
     assert!(steps.lines().count() > 1);

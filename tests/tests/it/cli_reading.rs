@@ -95,6 +95,12 @@ fn no_reader_shows_an_unfinished_run_that_was_altered() {
     // The last line is being written.
     fs::write(&ledger, format!("{whole}{{\"arm\":\"mc\",\"num")).unwrap();
     ["ledger run", "compare run", "explain run#1"].iter().for_each(|arguments| drop(ok(folder, arguments)));
+    // Decisions of an open leg are no result, and of a run that is not finished nothing is held to be true.
+    let said = ok(folder, "compare run");
+    assert!(said.contains("unfinished, open legs are not counted: seeds 0") && !said.contains("checks"), "{said}");
+    let answer = ask(folder, "compare run --assert 1<2");
+    assert_eq!(answer.code, 1, "{}", answer.stdout);
+    assert!(answer.stderr.contains("note: 1 of 1 seed of run unfinished"), "{}", answer.stderr);
 
     let second = whole.match_indices("\"number\":2").next().unwrap().0 + "\"number\":".len();
     let mut altered = whole.clone();
@@ -135,7 +141,14 @@ fn an_unfinished_run_is_verified_as_strictly_as_a_finished_one() {
     fs::create_dir(&ledger).unwrap();
     check(folder, "verify run", 3, &["seed-0/ledger.jsonl"]);
     fs::remove_dir(&ledger).unwrap();
-    fs::write(&ledger, whole).unwrap();
+    fs::write(&ledger, &whole).unwrap();
+    ok(folder, "verify run");
+    // What came behind the last state is cut off by going on, whatever it is.
+    fs::write(&ledger, [&whole[..], b"\0\0\0\n"].concat()).unwrap();
+    let answer = ask(folder, "verify run");
+    assert_eq!((answer.code, answer.stdout.matches("MISMATCH").count()), (4, 1), "{}", answer.stdout);
+    let answer = ask(folder, "train box-moving -o run --resume --max-time 1s");
+    assert_eq!(answer.code, 130, "{}", answer.stderr);
     ok(folder, "verify run");
 }
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use mcvl_core::rng::Rng;
 use mcvl_tests::{mcvl, scratch};
 
-use crate::cli::{Answer, ask_all, assert_same, ok, program};
+use crate::cli::{Answer, ask, ask_all, assert_same, finished, ok, program};
 
 const TRAIN: &str = "train box-moving --seeds 4,7 -j 2 -o run --checkpoint-every 10ms";
 const RESUME: &str = "train box-moving -o run -j 2 --checkpoint-every 10ms --resume";
@@ -130,6 +130,21 @@ fn a_time_limit_saves_and_says_how_to_go_on() {
     assert!(explained.code == 0 && explained.stdout.contains("REFUSED"), "{}", explained.stderr);
     ok(folder, "train box-moving --seeds 4,7 -o straight");
     assert_same(&folder.join("my run"), &folder.join("straight"));
+}
+
+#[test]
+fn a_dry_run_of_what_goes_on_is_about_that_run() {
+    let folder = finished();
+    let folder = folder.path();
+    let said = ok(folder, "train box-moving -o run --resume --dry-run");
+    assert!(said.contains(r#"seeds = ["0", "3"]"#) && said.contains("forecast = { value = \"200\""), "{said}");
+    for (arguments, why) in [
+        ("-o run --resume --dry-run --preset release", "was begun with paper, not with release"),
+        ("-o none --resume --dry-run", "there is no run in none to resume"),
+    ] {
+        let answer = ask(folder, &format!("train box-moving {arguments}"));
+        assert_eq!((answer.code, answer.stderr.contains(why)), (2, true), "{}", answer.stderr);
+    }
 }
 
 #[test]

@@ -67,12 +67,23 @@ fn cells_are_trained_once_and_claims_judged() {
     assert_eq!(ask(folder, "reproduce E8 --seeds 3 -o set --assert-claims").code / 2, 0, "0 or 1");
     ok(folder, "verify set/cells/box");
 
+    // Where less is asked for, the rest of what is known stays in the files.
+    let files = ["claims.csv", "numbers.csv", "results.json", "results.md", "fig5.svg"];
+    let read = |set: &str, name: &str| fs::read_to_string(folder.join(set).join(name)).unwrap();
+    let before = files.map(|name| read("set", name));
+    let said = ok(folder, "reproduce E1 --seeds 3 -o set");
+    assert!(said.contains("E1") && !said.contains("E8"), "{said}");
+    for (name, before) in files.iter().zip(&before) {
+        let after = read("set", name);
+        assert_eq!(after == *before, *name == "fig5.svg", "E1 is there now, too: {name}");
+    }
+    assert!(before[0].lines().all(|line| read("set", "claims.csv").contains(line)), "{}", read("set", "claims.csv"));
+
     // The records alone are enough elsewhere, and so are the runs.
     for (from, to) in [("set/records", "by-records"), ("set/cells", "by-runs")] {
         ok(folder, &format!("reproduce E8 --seeds 3 --evaluate --from {from} -o {to}"));
         for name in ["claims.csv", "numbers.csv", "fig5.svg"] {
-            let read = |set: &str| fs::read_to_string(folder.join(set).join(name)).unwrap();
-            assert_eq!(read(to), read("set"), "{name} {from}");
+            assert_eq!(read(to, name), read("set", name), "{name} {from}");
         }
     }
     assert!(!folder.join("by-records/records").exists() && folder.join("by-runs/records/box.record.json").is_file());
@@ -94,6 +105,18 @@ fn nothing_of_somebody_else_is_overwritten_and_nothing_is_judged_where_nothing_i
     assert_eq!(answer.code, 2);
     assert!(answer.stderr.contains("no cell has a finished seed in typo"), "{}", answer.stderr);
     assert!(!folder.join("typo").exists());
+    // Before anything is trained.
+    fs::write(folder.join("notes.txt"), "precious").unwrap();
+    for (flag, why) in [("--bands", "holds something else"), ("--page", "it lacks the lines")] {
+        let answer = ask(folder, &format!("{ONE} -o new {flag} notes.txt"));
+        assert_eq!((answer.code, answer.stderr.contains(why)), (2, true), "{}", answer.stderr);
+        assert!(!folder.join("new").exists());
+    }
+    assert_eq!(fs::read_to_string(folder.join("notes.txt")).unwrap(), "precious");
+    for _ in 0..2 {
+        ok(folder, "reproduce E8 --seeds 3 --only box-forecast-100 -o new --bands bands.json");
+    }
+    assert_eq!(fs::read_to_string(folder.join("bands.json")).unwrap(), "{}\n");
 }
 
 /// A cell that is trained in parts, in several folders, is the cell that is trained in one.
@@ -124,7 +147,12 @@ fn parts_of_a_cell_are_joined() {
     }
     // Nothing is left to do, and what was trained for a part is not mistaken for the whole.
     assert_eq!(ok(folder, &rest), said);
+    assert_eq!(ok(folder, &format!("{cell} --seeds 3,5 -o other")), said, "the record has both");
+    let path = folder.join("other/records/box-safe-100.record.json");
+    let bytes = fs::read(&path).unwrap();
+    fs::remove_file(&path).unwrap();
     let answer = ask(folder, &format!("{cell} --seeds 3,5 -o other"));
+    fs::write(&path, bytes).unwrap();
     assert_eq!(answer.code, 2, "{}", answer.stderr);
     assert!(answer.stderr.contains("is of seed 5, not of seeds 3, 5: give the same --seeds, --quick and --from"));
 
@@ -132,6 +160,47 @@ fn parts_of_a_cell_are_joined() {
     let said = ok(folder, "reproduce E7 --evaluate --from other/records -o all");
     let row = said.split("100 steps: some seeds").nth(1).unwrap_or_else(|| panic!("{said}"));
     assert!(said.contains("\n  unfinished ") && row.contains("2 of 10 seeds, so far it"), "{said}");
+}
+
+/// Whatever became of the runs, what a folder's records hold is neither trained again nor replaced by less.
+#[test]
+fn a_record_outlives_its_run() {
+    let folder = scratch();
+    let folder = folder.path();
+    let said = ok(folder, &format!("{ONE} -o set"));
+    let path = folder.join("set/records/box-forecast-100.record.json");
+    let whole = fs::read(&path).unwrap();
+    fs::remove_dir_all(folder.join("set/cells")).unwrap();
+    assert_eq!(ok(folder, &format!("{ONE} -o set")), said);
+    assert!(!folder.join("set/cells").exists() && fs::read(&path).unwrap() == whole);
+    // A seed more: that one alone is trained, and both are in the record, stopped or not.
+    let more = ask(folder, "reproduce E8 --seeds 3,4 --only box-forecast-100 -o set --max-time 200ms");
+    assert_eq!(more.code, 130, "{}", more.stderr);
+    assert_eq!(fs::read(&path).unwrap(), whole);
+    ok(folder, "reproduce E8 --seeds 3,4 --only box-forecast-100 -o set");
+    let run = folder.join("set/cells/box-forecast-100");
+    assert!(run.join("seed-4").is_dir() && !run.join("seed-3").exists());
+    let both = fs::read(&path).unwrap();
+    assert_eq!(json(&String::from_utf8_lossy(&both))["summary"]["seeds"], json("[3, 4]"));
+    // Fewer seeds, another setting, or a record that nobody can read: said, and left alone.
+    for (arguments, code, part) in [
+        ("reproduce E8 --seeds 3 --only box-forecast-100", 2, "record.json is of seeds 3, 4, not of seed 3: give the"),
+        ("reproduce E8 --seeds 3 --evaluate --from .", 2, "record.json is of seeds 3, 4, not of seed 3"),
+    ] {
+        fs::remove_dir_all(folder.join("set/cells")).ok();
+        let answer = ask(folder, &format!("{arguments} -o set"));
+        assert_eq!((answer.code, answer.stderr.contains(part)), (code, true), "{arguments}\n{}", answer.stderr);
+        assert_eq!(fs::read(&path).unwrap(), both);
+    }
+    let other = String::from_utf8_lossy(&both).replacen("forecast=100", "forecast=101", 1);
+    for (bytes, code, part) in [
+        (&both[..both.len() / 2], 3, "is no record of mcvl"),
+        (other.as_bytes(), 2, "record.json is of another setting than the one wanted"),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        let answer = ask(folder, "reproduce E8 --seeds 3,4 --only box-forecast-100 -o set");
+        assert_eq!((answer.code, answer.stderr.contains(part)), (code, true), "{}", answer.stderr);
+    }
 }
 
 /// Of a run that is not finished, the seeds that are count.
