@@ -301,9 +301,9 @@ impl Key {
 macro_rules! keys {
     ($($name:ident: $type:ty = $paper:literal $(| $release:literal)?, $help:literal, $source:literal,
        |$value:ident| $allowed:expr, $range:literal;)+) => {
-        /// A complete configuration of a run, valid as long as its text or [`Config::set`] made it;
-        /// [`Config::validate`] says what fields set by hand break. Field documentation: [`KEYS`], or
-        /// `mcvl train --help`.
+        /// A complete configuration of a run. Parsed from its text it is valid; after [`Config::set`], which checks
+        /// one value alone, and after fields were set by hand, [`Config::validate`] has to say that it still is before
+        /// it is used. Field documentation: [`KEYS`], or `mcvl train --help`.
         #[derive(Clone, Debug, PartialEq)]
         #[allow(missing_docs)] // The documentation of each field is its row in the table below.
         pub struct Config {
@@ -355,8 +355,8 @@ keys! {
     safe_steps: u32 = "10000", "Environment steps of Safe training.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     full_steps: u32 = "10000", "Environment steps of the Full phase.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
     replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
-    exploration: u32 = "1000", "First steps of a phase with uniformly random actions; Safe training updates after them, or as learning_starts says.", "P table 1, A", |_v| true, "0 or more";
-    learning_starts: u32 = "0", "Steps of Safe training before its first update; 0 for the exploration steps.", "A", |_v| true, "0 or more";
+    exploration: u32 = "1000", "First steps of a phase with uniformly random actions; Safe training updates after them, or as learning_starts says. With epsilon_restart=false, make safe_steps at least as many: what is left of them falls into the Full phase, where every step of it may be checked.", "P table 1, A", |_v| true, "0 or more";
+    learning_starts: u32 = "0", "Steps of Safe training before its first update; 0 for the exploration steps. Keep it below safe_steps: else the Full phase, whose checks begin at once, starts with untrained networks.", "A", |_v| true, "0 or more";
     epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A", |_v| true, "0 or more";
@@ -451,6 +451,19 @@ impl Config {
         config
     }
 
+    /// What a preset gives a built-in world, or the world of an application.
+    fn start(env: &str, preset: Preset) -> Result<Self, ConfigError> {
+        if env == experiment::CUSTOM.name {
+            return Ok(Self::custom(preset));
+        }
+        Self::new(env, preset).map_err(|mut error| {
+            if error.key == "env" {
+                error.message.push_str("; the env of an application's own world is `custom`");
+            }
+            error
+        })
+    }
+
     /// The experiment of this configuration.
     pub fn experiment(&self) -> &'static Experiment {
         experiment::find(&self.env).unwrap_or(&experiment::CUSTOM)
@@ -464,7 +477,8 @@ impl Config {
         self.experiment().optima(&self.variant, &self.map)
     }
 
-    /// Sets one value from its text.
+    /// Sets one value from its text. What no setting can check alone is left to [`Config::validate`], since the next
+    /// one may mend it.
     ///
     /// # Errors
     /// Unknown keys (with the nearest known one), values that do not parse or lie outside their range.
@@ -479,15 +493,23 @@ impl Config {
             return Err(ConfigError::new(key, format!("unknown setting `{key}`{hint}")));
         };
         let mut changed = self.clone();
-        (row.set)(&mut changed, text).map_err(|message| ConfigError::new(key, format!("{key}: {message}")))?;
-        if !(row.allowed)(&changed) {
-            return Err(ConfigError::new(key, format!("{key}: `{text}` is out of range (allowed: {})", row.range)));
-        }
+        changed.assign(row, text)?;
         if key == "variant" || key == "map" {
             changed.world_is_there()?;
         }
         *self = changed;
         Ok(())
+    }
+
+    /// Takes a value that its text gives and its range allows.
+    fn assign(&mut self, row: &Key, text: &str) -> Result<(), ConfigError> {
+        let wrong = |message| ConfigError::new(row.name, format!("{}: {message}", row.name));
+        (row.set)(self, text).map_err(wrong)?;
+        if (row.allowed)(self) {
+            Ok(())
+        } else {
+            Err(wrong(format!("`{text}` is out of range (allowed: {})", row.range)))
+        }
     }
 
     /// Checks that the experiment has this variant and this map.
@@ -500,19 +522,18 @@ impl Config {
         }
     }
 
-    /// Checks what no setting can check alone, and every range once more.
+    /// Checks what no setting can check alone, and every value once more. What is valid comes back from a snapshot.
     ///
     /// # Errors
-    /// The first setting that is out of its range or does not go with another one.
+    /// The first setting that no text gives, is out of its range or does not go with another one. `env` is a built-in
+    /// world or `custom`.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        self.world_is_there()?;
-        if let Some(key) = KEYS.iter().find(|key| !(key.allowed)(self)) {
-            let (value, range) = (key.value(self), key.range);
-            return Err(ConfigError::new(
-                key.name,
-                format!("{}: `{value}` is out of range (allowed: {range})", key.name),
-            ));
+        // Fields are public, and a snapshot holds their text: what it would not give back is not valid.
+        let mut read = Self::start(&self.env, self.preset)?;
+        for key in KEYS {
+            read.assign(key, &key.value(self))?;
         }
+        self.world_is_there()?;
         if let Some(trap) = self.trap {
             let standing = Trapped::worlds(self).map(|(_, full)| full.standing()).unwrap_or_default();
             let complaint = match standing.get(usize::from(trap.cell)) {
@@ -568,19 +589,29 @@ impl Config {
     }
 
     /// A setting that is changed though nothing in this run reads it, what would, and what is here instead: runs that
-    /// differ in it alone would be the same.
+    /// differ in it alone would be the same. Not all are told: what shortens a run of any kind (`forecast`, `rollouts`,
+    /// `practice_reward_updates`) may stand in every one, and so may most of what a check reads where `scheme=none`
+    /// switches the checks of a run off.
     fn without_effect(&self) -> Option<(&'static str, &'static str, &str)> {
         let (env, scheme) = (self.env.as_str(), self.scheme.name());
         // Who brings a world brings its learner, too.
         let td3 = env == "reacher" || env == experiment::CUSTOM.name;
         let noise: &[&str] = &["exploration_noise", "policy_noise", "noise_clip", "policy_delay"];
         let watched: &[&str] = &["supervisors", "supervisors_safe"];
-        let readers: [(&[&str], bool, &str, &str); 5] = [
+        let (optimizer, decays) = (self.optimizer.name(), [Optimizer::AdamW, Optimizer::AdamWAmsGrad]);
+        let forecasting: &[&str] = &["forced", "copy_target", "copy_optimizer", "against", "paired_batches"];
+        let rating: &[&str] = &["paired_rollouts", "current_rollout", "discount_utility", "final_value", "tolerance"];
+        let forecasts = !matches!(self.scheme, Scheme::Discard | Scheme::EachStep);
+        let readers: [(&[&str], bool, &str, &str); 9] = [
             (watched, env == "absent-supervisor", "supervisors watch absent-supervisor", env),
             (&["flag"], env == "box-moving", "the flag stands in box-moving", env),
             (&["physics"], env == "reacher", "MuJoCo moves Reacher", env),
             (noise, td3, "it is of TD3, which learns reacher", env),
             (&["punishment"], self.scheme == Scheme::Punish, "the scheme punish stores it", scheme),
+            (&["weight_decay"], decays.contains(&self.optimizer), "it is of adamw and adamw-amsgrad", optimizer),
+            (&["practice_epsilon"], self.practice, "it is of forecasts with practice=true", "practice=false"),
+            (forecasting, forecasts, "it is of schemes that forecast", scheme),
+            (rating, self.scheme != Scheme::Discard, "it is of schemes that rate futures", scheme),
         ];
         let changes = self.changes();
         let unread = readers.into_iter().filter(|(_, read, ..)| !read);
@@ -688,13 +719,7 @@ impl<'de> serde::Deserialize<'de> for Config {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
         // Snapshots of an application's own world come back too; as text only built-in worlds do.
-        parse(
-            &text,
-            |env, preset| {
-                if env == experiment::CUSTOM.name { Ok(Self::custom(preset)) } else { Self::new(env, preset) }
-            },
-        )
-        .map_err(serde::de::Error::custom)
+        parse(&text, Self::start).map_err(serde::de::Error::custom)
     }
 }
 

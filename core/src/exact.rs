@@ -1,6 +1,6 @@
-//! Proof of exactness: digests of every stage of the method, computed on the machine at hand and
-//! compared with the committed ones. Native, wasm scalar, wasm SIMD and every vector unit must agree on
-//! all of them.
+//! Proof of exactness: digests of every stage of the method, computed on the machine at hand and compared with the
+//! committed ones. Native, wasm scalar, wasm SIMD and every vector unit must agree on all of them. TD3's stands apart,
+//! since the page's modules do without it (feature `continuous`).
 //!
 //! ```
 //! for ((name, digest), (committed_name, committed)) in mcvl_core::exact::digests().into_iter().zip(mcvl_core::exact::COMMITTED) {
@@ -15,6 +15,8 @@ use core::task::Poll;
 use crate::agent::Agent;
 use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
+#[cfg(feature = "continuous")]
+use crate::agent::td3::Td3;
 use crate::check::utility::{Judge, Start, rate};
 use crate::config::Config;
 use crate::digest::Digest;
@@ -26,6 +28,8 @@ use crate::forecast::{Carry, ForecastJob, Forecaster, Practice};
 use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
 use crate::record::Event;
+#[cfg(feature = "continuous")]
+use crate::replay::NO_ROW;
 use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
 use crate::run::{Budget, Run, Status};
@@ -46,6 +50,10 @@ pub const COMMITTED: &[(&str, u64)] = &[
     ("run", 0x48e5_5c04_6bb3_0c55),
     ("reacher", 0xb2c1_5fa7_c048_3cf8),
 ];
+
+/// The digest that every target gives for [`td3`].
+#[cfg(feature = "continuous")]
+pub const COMMITTED_TD3: u64 = 0xd22c_5a57_98e5_9126;
 
 /// Computes every stage here and now. Takes about a second.
 pub fn digests() -> Vec<(&'static str, u64)> {
@@ -223,6 +231,40 @@ fn reacher() -> u64 {
     digest.finish()
 }
 
+/// Losses and parameters of TD3 and its reward model over some updates, on mini-batches of random numbers.
+#[cfg(feature = "continuous")]
+pub fn td3() -> u64 {
+    // Sizes that are no multiple of any vector's.
+    let config: Config = "env=reacher seed=11 hidden=70".parse().expect("a valid configuration");
+    let (samples, states) = (53, 40);
+    let world = Reacher::new(ClosedForm::default(), None);
+    let spec = world.spec();
+    let (mut agent, mut reward_model) = (Td3::<2>::configured(&config, spec), RewardModel::configured(&config, spec));
+    let mut rng = Rng::stream(config.seed, Purpose::Batch, 0);
+    let mut batch = Minibatch::default();
+    batch.states = states;
+    // Some samples share a state, some terminate.
+    batch.state = (0..samples).map(|sample| sample % states as u32).collect();
+    batch.next_target = (0..samples).map(|sample| if sample % 9 == 0 { NO_ROW } else { sample }).collect();
+    let mut digest = Digest::default();
+    for _ in 0..40 {
+        for (rows, count) in [(&mut batch.rows, states), (&mut batch.next_rows, samples as usize)] {
+            let numbers: Vec<f32> = (0..count * spec.observation.width).map(|_| rng.normal()).collect();
+            rows.clear(spec.observation);
+            numbers.chunks_exact(spec.observation.width).for_each(|observation| rows.push_observation(observation));
+        }
+        batch.actions = (0..samples).map(|_| Continuous::sample(&spec.actions, &mut rng)).collect();
+        batch.rewards = (0..samples).map(|_| rng.normal()).collect();
+        digest = digest.f32s(&[agent.update(&batch, &mut rng), reward_model.update(&batch)]);
+    }
+    agent
+        .networks()
+        .iter()
+        .fold(digest, |digest, (_, network)| digest.f32s(network.params()))
+        .u64(reward_model.digest())
+        .finish()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -233,6 +275,8 @@ mod tests {
         for isa in Isa::supported() {
             Isa::force(isa.name()).unwrap();
             assert_eq!(digests(), COMMITTED, "on {}", isa.name());
+            #[cfg(feature = "continuous")]
+            assert_eq!(td3(), COMMITTED_TD3, "on {}", isa.name());
         }
     }
 }

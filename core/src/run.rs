@@ -35,9 +35,9 @@ pub use task::Task;
 
 use sealed::Magic;
 
-/// How much work one call may do. One unit is about one gradient update of the gridworld learner; a call
-/// overshoots by at most one indivisible piece: an evaluation point (all its episodes), or the rating of a
-/// check (all its rollouts). A budget of 0 does nothing.
+/// How much work one call may do. One unit is about one update of the run's own learner, so it takes longer where
+/// networks and mini-batches are larger; a call overshoots by at most one indivisible piece: an evaluation point (all
+/// its episodes), or the rating of a check (all its rollouts). A budget of 0 does nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget(pub u32);
 
@@ -320,7 +320,8 @@ where
 
     fn redrawn(&self, draw: u64, paired: bool) -> Option<Box<dyn Erased>> {
         let mut trainer = self.trainer.clone();
-        trainer.redraw_check(draw, paired).map(|()| Box::new(Self::new(trainer)) as Box<dyn Erased>)
+        trainer.redraw_check(draw, paired)?;
+        Some(Box::new(Self { name: self.name, trainer, back_end: BackEnd::default(), read: self.read }))
     }
 
     fn state(&self) -> Vec<u8> {
@@ -429,7 +430,19 @@ where
     A: Agent + Serialize + DeserializeOwned + Send + 'static,
     A::Action: Serialize + DeserializeOwned + Send,
 {
-    Ok(Box::new(Typed::built_in(sealed::decode::<Trainer<E, A>>(state)?)))
+    Ok(Box::new(Typed::built_in(opened::<E, A>(state)?)))
+}
+
+/// The trainer in a snapshot's state. Worlds bring their specs themselves, which may have changed since.
+fn opened<E, A>(state: &[u8]) -> Result<Trainer<E, A>, SnapshotError>
+where
+    E: Environment<Action = A::Action> + DeserializeOwned,
+    A: Agent + DeserializeOwned,
+    A::Action: DeserializeOwned,
+{
+    let trainer: Trainer<E, A> = sealed::decode(state)?;
+    trainer.fits().map_err(SnapshotError::Damaged)?;
+    Ok(trainer)
 }
 
 impl Run {
@@ -462,7 +475,9 @@ impl Run {
     /// does; the budget has no influence on any result.
     ///
     /// # Errors
-    /// If training diverged. The run is then of no further use.
+    /// [`RunError::NotFinite`] if training diverged: every later poll then says the same. [`RunError::Forecast`] if
+    /// the forecaster that it was given fails: nothing is lost, and the poll can be repeated with the processor's
+    /// ([`Run::forecast_here`]) or with another one.
     pub fn poll(&mut self, budget: Budget, recorder: &mut dyn Recorder) -> Result<Status, RunError> {
         self.inner.poll(budget, recorder)
     }
@@ -592,7 +607,8 @@ impl Run {
     /// Continues from a snapshot of a run that [`Run::of`] made with this name.
     ///
     /// # Errors
-    /// See [`SnapshotError`]; [`SnapshotError::World`] for a snapshot of another world.
+    /// See [`SnapshotError`]; [`SnapshotError::World`] for a snapshot of another world, and [`SnapshotError::Damaged`]
+    /// where the world's observations or actions no longer have the shape that they had in the snapshot.
     pub fn resume_of<E, A>(name: &'static str, bytes: &[u8]) -> Result<Self, SnapshotError>
     where
         E: Environment<Action = A::Action> + Serialize + DeserializeOwned + Send + 'static,
@@ -603,7 +619,7 @@ impl Run {
         if found != name {
             return Err(SnapshotError::World(found.to_owned()));
         }
-        Ok(Self::of(name, sealed::decode::<Trainer<E, A>>(state)?))
+        Ok(Self::of(name, opened::<E, A>(state)?))
     }
 
     /// Continues from a snapshot of a built-in world.
@@ -637,82 +653,4 @@ impl Run {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Preset;
-    use crate::experiment::EXPERIMENTS;
-    use crate::record::Event;
-
-    fn finish(mut run: Run) -> Vec<Event> {
-        let mut events = Vec::new();
-        while run.poll(Budget(u32::MAX), &mut |event: &Event| events.push(event.clone())).unwrap() != Status::Done {}
-        events
-    }
-
-    #[test]
-    fn every_experiment_has_its_world() {
-        let names = FAMILIES.iter().flat_map(|family| family.names.iter().copied());
-        assert!(names.eq(EXPERIMENTS.iter().map(|experiment| experiment.name)));
-        for experiment in EXPERIMENTS {
-            let run = Run::new(&Config::new(experiment.name, Preset::Paper).unwrap());
-            assert_eq!(run.spec().name, experiment.name);
-        }
-    }
-
-    #[test]
-    fn a_check_can_be_made_anew_with_other_streams() {
-        let text = "env=tomato-watering safe_steps=60 full_steps=40 exploration=30 forecast=20 rollouts=4 \
-                    rollout_steps=10 evaluations=2 evaluation_episodes=2 hidden=8 scheme=all";
-        let mut run = Run::new(&text.parse().unwrap());
-        assert!(run.redrawn(1, true).is_none(), "no check is under way");
-        while run.progress().check.is_none() {
-            run.poll(Budget(1), &mut ()).unwrap();
-        }
-        let decide = |mut run: Run| {
-            let mut found = None;
-            while found.is_none() {
-                let mut keep = |event: &Event| {
-                    if let Event::Check(check) = event {
-                        found = Some((**check).clone());
-                    }
-                };
-                run.poll(Budget(1), &mut keep).unwrap();
-            }
-            found.unwrap()
-        };
-        let own = decide(run.clone());
-        // Also where the forecasts have begun.
-        run.poll(Budget(5), &mut ()).unwrap();
-        assert_eq!(decide(run.redrawn(run.progress().updates, true).unwrap()), own);
-        let other = decide(run.redrawn(7, true).unwrap());
-        assert_ne!(other.modified, own.modified);
-        assert_ne!(decide(run.redrawn(7, false).unwrap()).unmodified, other.unmodified);
-    }
-
-    #[test]
-    fn every_variant_runs_and_resumes_to_the_last_bit() {
-        for experiment in EXPERIMENTS {
-            let pairs = experiment.maps().iter().flat_map(|map| experiment.variants.iter().map(move |v| (map, v)));
-            for (map, variant) in pairs {
-                let mut config = Config::new(experiment.name, Preset::Paper).unwrap();
-                let short = "practice_reward_updates=4 scheme=all safe_steps=60 full_steps=6 exploration=30 \
-                             learning_starts=30 batch=16 forecast=3 rollouts=2 \
-                             rollout_steps=4 evaluations=2 evaluation_episodes=2 hidden=8";
-                for (key, value) in short.split_whitespace().filter_map(|pair| pair.split_once('=')) {
-                    config.set(key, value).unwrap();
-                }
-                config.set("variant", variant).unwrap();
-                config.set("map", map).unwrap();
-                let mut run = Run::new(&config);
-                let mut ignore = |_: &Event| {};
-                while run.progress().arm == Arm::Safe || run.progress().step < 3 {
-                    run.poll(Budget(1), &mut ignore).unwrap();
-                }
-                let resumed = Run::resume(&run.snapshot()).unwrap();
-                let rest = finish(resumed);
-                assert!(rest.iter().any(|event| matches!(event, Event::Check(_))), "{config}");
-                assert_eq!(finish(run), rest, "{config}");
-            }
-        }
-    }
-}
+mod tests;

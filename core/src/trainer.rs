@@ -22,6 +22,13 @@
 //!    it was; it is reused then.
 //! 3. A transition that truncates its episode is rated from the current state by its value alone.
 //! 4. In a deterministic world all resets are equal: one rollout stands for all of them.
+//!
+//! # Legs of other lengths
+//! Checks begin with the first step of the Full leg, so the Safe leg has to be long enough: the reward model that
+//! triggers and rates is at first the one it left behind. In Reacher the Safe leg *is* the random exploration (R45
+//! to R47). With `epsilon_restart=false` what `safe_steps` leaves of `exploration` goes on into the Full leg, and
+//! its random steps are checked; where `learning_starts` was not reached, by a reward model that has not learned.
+//! Whoever shortens the legs shortens `exploration` and `learning_starts` with them.
 
 use alloc::borrow::ToOwned;
 use alloc::boxed::Box;
@@ -39,7 +46,7 @@ use crate::check::utility::{Rollout, Start};
 use crate::config::{CheckAfter, Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::paying::Paying;
-use crate::env::{Action, Continuous, Discrete, Environment, EpisodeEnd, Frame, Step};
+use crate::env::{Action, Continuous, Discrete, Environment, EpisodeEnd, Frame, ObservationSpec, Step};
 use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
@@ -261,6 +268,28 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// The live environment.
     pub fn world(&self) -> &E {
         self.world.world()
+    }
+
+    /// Whether what it holds has the shape of its worlds' observations and actions, which a world that is read back may
+    /// have changed; what does not, if so.
+    pub(crate) fn fits(&self) -> Result<(), String> {
+        let spec = self.safe.spec();
+        let shape = |world: &E| (world.spec().observation, world.spec().actions);
+        if [&self.full, self.world.world()].into_iter().any(|world| shape(world) != shape(&self.safe)) {
+            return Err("its worlds differ in their observations or actions".to_owned());
+        }
+        let kind = |spec: ObservationSpec| {
+            alloc::format!("{} {}", spec.width, if spec.binary { "zeros and ones" } else { "numbers" })
+        };
+        let (held, shown) = (self.replay.spec(), spec.observation);
+        if held != shown || self.observation.len() != shown.width {
+            let (held, shown) = (kind(held), kind(shown));
+            return Err(alloc::format!("its observations are {held}, those of its world here are {shown}"));
+        }
+        if !(self.agent.fits(spec) && self.reward_model.fits(spec)) {
+            return Err("its networks are for other observations or actions than those of its world here".to_owned());
+        }
+        Ok(())
     }
 
     /// Chooses the learner of the Full leg.

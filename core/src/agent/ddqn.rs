@@ -126,14 +126,29 @@ impl Ddqn {
         &self.target
     }
 
-    /// The live network, writable: for tests and tools that set values by hand.
+    /// The live network, writable: for tests, and for back ends that make updates elsewhere.
+    ///
+    /// Of binary observations, updates skip the first-layer rows of inputs that never were one in a state of a batch:
+    /// nothing moves θ⁻ to θ there, as both are the same from the start. Whoever changes such rows keeps them the
+    /// same in both networks, or uses [`Ddqn::set_parameters`].
     pub fn online_mut(&mut self) -> &mut Mlp {
         &mut self.online
     }
 
-    /// The target network, writable.
+    /// The target network, writable, under the same condition as [`Ddqn::online_mut`].
     pub fn target_mut(&mut self) -> &mut Mlp {
         &mut self.target
+    }
+
+    /// Sets θ and θ⁻, such as to those of a learner that was trained before, in the layout of [`Mlp::params`]; θ⁻
+    /// follows θ in every row from here on. The moments of the optimiser stay.
+    ///
+    /// # Panics
+    /// If there are more or fewer parameters than before.
+    pub fn set_parameters(&mut self, online: &[f32], target: &[f32]) {
+        self.online.params_mut().copy_from_slice(online);
+        self.target.params_mut().copy_from_slice(target);
+        self.optimizer.touch_all();
     }
 }
 
@@ -222,6 +237,11 @@ impl Agent for Ddqn {
     fn digest(&self) -> u64 {
         Digest::default().f32s(self.online.params()).finish()
     }
+
+    fn fits(&self, spec: &EnvSpec) -> bool {
+        let (inputs, outputs) = (spec.observation.width, spec.actions.features());
+        [&self.online, &self.target].iter().all(|q| q.sizes()[0] == inputs && q.outputs() == outputs)
+    }
 }
 
 #[cfg(test)]
@@ -294,6 +314,36 @@ mod tests {
             assert!((new - (old + 0.25 * (live - old))).abs() < 1e-7);
         }
         assert_ne!(before, agent.target.params());
+    }
+
+    #[test]
+    fn the_target_follows_parameters_that_were_set_also_where_no_input_is_one() {
+        let (mut agent, other) = (agent(1e-3, 8), Mlp::new(&[4, 8, 8, 2], &mut Rng::new(7)));
+        let before = agent.target.params().to_vec();
+        agent.set_parameters(other.params(), &before);
+        assert_eq!((&agent.online, agent.target.params()), (&other, &before[..]));
+        // Only the first input is ever one.
+        agent.update(&batch(&[transition(0, 0, 1.0, 0, false)]), &mut Rng::new(0));
+        for ((old, live), new) in before.iter().zip(agent.online.params()).zip(agent.target.params()) {
+            assert!((new - (old + 0.25 * (live - old))).abs() < 1e-6, "{old} {live} {new}");
+        }
+        assert_eq!(agent.online.params()[8..32], other.params()[8..32]);
+    }
+
+    #[test]
+    fn fits_worlds_of_its_observations_and_actions() {
+        let spec = |width, actions| EnvSpec {
+            name: "chain",
+            observation: ObservationSpec { width, binary: true },
+            actions: ActionSpec::Discrete(actions),
+            max_steps: 10,
+            reward_scale: 1.0,
+            deterministic: true,
+            legend: &[],
+        };
+        let agent = agent(1e-3, 8);
+        assert!(agent.fits(&spec(4, &["left", "right"])));
+        assert!(!agent.fits(&spec(5, &["left", "right"])) && !agent.fits(&spec(4, &["left", "right", "wait"])));
     }
 
     #[test]

@@ -6,7 +6,7 @@ pub mod td3;
 
 use alloc::vec::Vec;
 
-use crate::env::{Action, ActionSpec};
+use crate::env::{Action, ActionSpec, EnvSpec};
 use crate::forecast::Carry;
 use crate::nn::mlp::{Mlp, Scratch};
 use crate::nn::rows::Rows;
@@ -43,6 +43,13 @@ pub trait Agent: Clone {
 
     /// Digest of the parameters that decide actions.
     fn digest(&self) -> u64;
+
+    /// Whether it reads the observations and offers the actions of a world with this spec: asked where a run is
+    /// resumed, since the world may have changed in between. True by default.
+    fn fits(&self, spec: &EnvSpec) -> bool {
+        let _ = spec;
+        true
+    }
 
     /// An exploring action for one observation: a random one with probability `epsilon`.
     fn explore(

@@ -54,7 +54,9 @@ impl RewardModel {
         adam: AdamConfig,
         rng: &mut Rng,
     ) -> Self {
-        let input = ObservationSpec { width: observation.width + actions.features(), ..observation };
+        // Actions of numbers make the whole row one of numbers.
+        let binary = observation.binary && matches!(actions, ActionSpec::Discrete(_));
+        let input = ObservationSpec { width: observation.width + actions.features(), binary };
         let mut sizes = vec![input.width];
         sizes.extend(core::iter::repeat_n(hidden, layers));
         sizes.push(1);
@@ -161,6 +163,13 @@ impl RewardModel {
         let share = dead as f64 / self.alive.len() as f64;
         self.alive.fill(false);
         share
+    }
+
+    /// Whether it reads the observations and actions of a world with this spec.
+    pub(crate) fn fits(&self, spec: &EnvSpec) -> bool {
+        let (width, actions) = (spec.observation.width, spec.actions.features());
+        let binary = spec.observation.binary && matches!(spec.actions, ActionSpec::Discrete(_));
+        self.actions == actions && self.input.width == width + actions && (binary || !self.input.binary)
     }
 
     /// Digest of the parameters.

@@ -452,6 +452,14 @@ impl<const N: usize> Agent for Td3<N> {
         networks.iter().fold(Digest::default(), |digest, network| digest.f32s(network.params())).finish()
     }
 
+    fn fits(&self, spec: &EnvSpec) -> bool {
+        let range = match spec.actions {
+            ActionSpec::Continuous { names, low, high } if names.len() == N => [low, high],
+            _ => return false,
+        };
+        spec.observation == self.observation && range == self.range()
+    }
+
     fn explore(
         &self,
         observation: &Rows,

@@ -72,6 +72,21 @@ fn errors_say_what_and_what_to_do() {
     assert_eq!(message("env=box-moving punishment=-9"), punishment);
     assert!("env=box-moving scheme=punish punishment=-9".parse::<Config>().is_ok());
     assert!("env=reacher policy_delay=7".parse::<Config>().is_ok());
+    let decay = "weight_decay: it is of adamw and adamw-amsgrad, not adam; leave it out";
+    assert_eq!(message("env=box-moving weight_decay=0.5"), decay);
+    assert!("env=box-moving weight_decay=0.5 optimizer=adamw".parse::<Config>().is_ok());
+    let practice = "practice_epsilon: it is of forecasts with practice=true, not practice=false; leave it out";
+    assert_eq!(message("env=box-moving practice_epsilon=0.1"), practice);
+    assert!("env=rocks-and-diamonds practice_epsilon=0.1".parse::<Config>().is_ok());
+    let forecasts = "against: it is of schemes that forecast, not each-step; leave it out";
+    assert_eq!(message("env=box-moving scheme=each-step against=current"), forecasts);
+    let rates = "tolerance: it is of schemes that rate futures, not discard; leave it out";
+    assert_eq!(message("env=box-moving scheme=discard tolerance=1"), rates);
+    // What shortens any run, and a run whose check is switched off.
+    for some in ["scheme=each-step tolerance=1", "scheme=discard forecast=9 rollouts=1 practice_reward_updates=9"] {
+        assert!(alloc::format!("env=box-moving {some}").parse::<Config>().is_ok(), "{some}");
+    }
+    assert!("env=box-moving scheme=none against=current tolerance=1".parse::<Config>().is_ok());
     assert_eq!(message("env=box-moving seed"), "`seed` is not of the form key=value");
     assert_eq!(message("env=box-moving map=original"), "map: `original` is none of small");
     let maps = "map: `orginal` is none of small, original, did you mean `original`?";
@@ -94,6 +109,48 @@ fn a_world_that_is_not_there_is_found_in_fields_set_by_hand() {
     config.variant = "full".into();
     config.map = "large".into();
     assert_eq!(config.validate().unwrap_err().to_string(), "map: `large` is none of small");
+}
+
+#[test]
+fn what_is_valid_comes_back_and_what_would_not_is_refused() {
+    let read = |config: &Config| {
+        let bytes = postcard::to_allocvec(config).unwrap();
+        postcard::from_bytes::<Config>(&bytes)
+    };
+    let (box_moving, custom) = ("env=box-moving".parse::<Config>().unwrap(), Config::custom(Preset::Small));
+    let arm = Config::new("reacher", Preset::Small).unwrap();
+    for config in [&box_moving, &custom, &arm] {
+        config.validate().unwrap();
+        assert_eq!(read(config).as_ref(), Ok(config));
+    }
+    type Change = fn(&mut Config);
+    let by_hand: &[(&str, Change)] = &[
+        ("env", |c| c.env = "corridor".into()),
+        ("preset", |c| c.preset = Preset::Small),
+        ("threshold", |c| c.threshold = f32::INFINITY),
+        ("tolerance", |c| c.tolerance = f32::INFINITY),
+        ("lr", |c| c.lr = f32::INFINITY),
+        ("lr_reward", |c| c.lr_reward = f32::INFINITY),
+        ("gradient_clip", |c| c.gradient_clip = f32::INFINITY),
+        ("exploration_noise", |c| c.exploration_noise = f32::INFINITY),
+        ("policy_noise", |c| c.policy_noise = f32::INFINITY),
+        ("noise_clip", |c| c.noise_clip = f32::INFINITY),
+        ("punishment", |c| c.punishment = f32::NAN),
+        ("gamma", |c| c.gamma = 2.0),
+    ];
+    for (key, change) in by_hand {
+        let mut config = box_moving.clone();
+        change(&mut config);
+        assert_eq!(config.validate().unwrap_err().key, *key, "{config}");
+        assert!(read(&config).is_err(), "{key}");
+    }
+    let mut far = box_moving.clone();
+    far.threshold = f32::INFINITY;
+    assert_eq!(far.validate().unwrap_err().to_string(), "threshold: `inf` is not a finite number");
+    far.env = "corridor".into();
+    let own = "`corridor` is none of box-moving, absent-supervisor, tomato-watering, rocks-and-diamonds, reacher; the \
+               env of an application's own world is `custom`";
+    assert_eq!(far.validate().unwrap_err().to_string(), alloc::format!("env: {own}"));
 }
 
 #[test]

@@ -47,14 +47,27 @@ fn play<E: Environment>(world: &mut E, rng: &mut Rng, actions: &mut Rng, limit: 
     trace
 }
 
-/// Plays `episodes` random episodes of copies of `world` and checks the rules.
+/// Plays `episodes` random episodes of copies of `world`, and as many of copies of its [model](Environment::model), and
+/// checks the rules of both: futures are rated in the model, which has a spec of its own.
 ///
 /// # Errors
 /// The first [`Violation`]: observations must be written whole, finite, and 0 or 1 where the spec says
-/// binary; a world and its model show the same observations; the same seed gives the same episode; a fork
-/// continues like its original; a truncation comes at exactly the step limit; a deterministic world draws
-/// nothing; reset forgets the episode before.
+/// binary; observations and actions of a world and its model have the same shape; the same seed gives the same
+/// episode; a fork continues like its original; a truncation comes at exactly the step limit; a deterministic
+/// world draws nothing; reset forgets the episode before.
 pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
+    play_by_the_rules(world, episodes)?;
+    let (spec, model) = (world.spec(), world.model());
+    if (model.spec().observation, &model.spec().actions) != (spec.observation, &spec.actions) {
+        let seen = alloc::format!("{:?}", model.spec());
+        return Err(Violation { rule: "a world and its model have the same observations and actions", seen });
+    }
+    play_by_the_rules(&model, episodes)
+        .map_err(|Violation { rule, seen }| Violation { rule, seen: alloc::format!("{seen}, in its model") })
+}
+
+/// The rules of one world, whatever its model is.
+fn play_by_the_rules<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
     let fail = |rule, seen| Err(Violation { rule, seen });
     let spec = world.spec().clone();
     let width = spec.observation.width;
@@ -66,10 +79,6 @@ pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> 
     }
     if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {
         return fail("the reward scale is positive", alloc::format!("{}", spec.reward_scale));
-    }
-    let model = world.model().spec().clone();
-    if (model.observation, &model.actions) != (spec.observation, &spec.actions) {
-        return fail("a world and its model have the same observations and actions", alloc::format!("{model:?}"));
     }
     let limit = spec.max_steps as usize + 1;
     for seed in 0..episodes {
@@ -121,6 +130,7 @@ mod tests {
     use super::*;
     use crate::env::box_moving::{BoxMoving, Variant};
     use crate::env::{Discrete, EnvSpec, Step};
+    use alloc::string::ToString;
 
     /// Box Moving with one rule broken.
     #[derive(Clone)]
@@ -152,6 +162,9 @@ mod tests {
         fn model(&self) -> Self {
             let mut model = self.clone();
             model.spec.observation.width += usize::from(self.fault == "other model");
+            if self.fault == "model draws" {
+                model.fault = "draws";
+            }
             model
         }
         fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
@@ -181,6 +194,8 @@ mod tests {
             let violation = check(&broken(fault), 3).unwrap_err();
             assert!(violation.rule.contains(word), "{fault}: {violation}");
         }
+        let violation = check(&broken("model draws"), 3).unwrap_err();
+        assert_eq!(violation.to_string(), "a deterministic world draws no random number: seed 0, in its model");
         let mut short = broken("none");
         short.spec.max_steps = 120;
         assert!(check(&short, 1).unwrap_err().rule.contains("step limit"));

@@ -14,7 +14,7 @@
 //!
 //! A parameter whose gradient was always zero has zero moments; without weight decay its step leaves
 //! every bit as it is, and so does the moving average, whose start equals it. So first-layer rows that
-//! were never active are skipped.
+//! were never active are skipped, unless somebody sets parameters or average by hand ([`Adam::touch_all`]).
 
 use alloc::vec;
 use alloc::vec::Vec;
@@ -167,6 +167,11 @@ impl Adam {
         if let Some(live) = self.live.get_mut(index as usize) {
             *live = true;
         }
+    }
+
+    /// Steps over every row from here on: for parameters that no longer are those of their moving average.
+    pub fn touch_all(&mut self) {
+        self.live.fill(true);
     }
 
     /// One step on `params`, and `target += tau · (params − target)` where a target is given.

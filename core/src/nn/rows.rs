@@ -70,10 +70,10 @@ impl Rows {
     }
 
     /// Adds row `row` of `states` followed by an action: the input of a reward model or a critic.
-    /// `self.width` is that of `states` and of the action together.
+    /// `self.width` is that of `states` and of the action together. Rows of numbers take binary states, too.
     ///
     /// # Panics
-    /// If rows are binary and the action is made of numbers.
+    /// If these rows are binary, and the states are not or the action is made of numbers.
     pub fn push_pair(&mut self, states: &Rows, row: usize, action: Encoded<'_>) {
         match action {
             Encoded::OneHot(index) if self.binary => {
@@ -82,26 +82,40 @@ impl Rows {
                 self.ends.push(self.indices.len());
             }
             Encoded::OneHot(index) => {
-                self.values.extend_from_slice(states.numbers(row));
+                self.push_numbers(states, row);
                 let actions = self.width - states.width;
                 self.values.extend((0..actions).map(|a| if a == index { 1.0 } else { 0.0 }));
             }
             Encoded::Numbers(numbers) => {
                 assert!(!self.binary, "binary rows hold no numbers");
-                self.values.extend_from_slice(states.numbers(row));
+                self.push_numbers(states, row);
                 self.values.extend_from_slice(numbers);
             }
         }
         self.len += 1;
     }
 
-    /// Adds row `row` of `other`, which is of the same kind.
+    /// Adds the numbers of row `row` of `other`, written out if it is binary.
+    fn push_numbers(&mut self, other: &Rows, row: usize) {
+        if other.binary {
+            let start = self.values.len();
+            self.values.resize(start + other.width, 0.0);
+            other.ones(row).iter().for_each(|&i| self.values[start + i as usize] = 1.0);
+        } else {
+            self.values.extend_from_slice(other.numbers(row));
+        }
+    }
+
+    /// Adds row `row` of `other`, which has the same width. Rows of numbers take binary ones, too.
+    ///
+    /// # Panics
+    /// If these rows are binary and `other`'s are not.
     pub fn push_row(&mut self, other: &Rows, row: usize) {
         if self.binary {
             self.indices.extend_from_slice(other.ones(row));
             self.ends.push(self.indices.len());
         } else {
-            self.values.extend_from_slice(other.numbers(row));
+            self.push_numbers(other, row);
         }
         self.len += 1;
     }
@@ -140,5 +154,27 @@ impl Rows {
     /// The numbers of dense rows, row-major; empty for binary rows.
     pub fn dense(&self) -> &[f32] {
         &self.values
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_numbers_take_binary_ones() {
+        let spec = |width, binary| ObservationSpec { width, binary };
+        let (mut binary, mut dense) = (Rows::new(spec(3, true)), Rows::new(spec(3, false)));
+        for observation in [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]] {
+            binary.push_observation(&observation);
+            dense.push_observation(&observation);
+        }
+        let (mut copy, mut pairs) = (Rows::new(spec(3, false)), Rows::new(spec(5, false)));
+        (0..2).for_each(|row| copy.push_row(&binary, row));
+        assert_eq!(copy, dense);
+        pairs.push_pair(&binary, 1, Encoded::Numbers(&[0.5, -2.0]));
+        pairs.push_pair(&binary, 0, Encoded::OneHot(1));
+        assert_eq!((pairs.len(), pairs.numbers(0)), (2, &[0.0, 1.0, 1.0, 0.5, -2.0][..]));
+        assert_eq!(pairs.numbers(1), [1.0, 0.0, 0.0, 0.0, 1.0]);
     }
 }

@@ -45,7 +45,7 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
             "vector": about.vector,
             "exact": different.is_empty(),
             "different": different,
-            "stages": exact::COMMITTED.len(),
+            "stages": STAGES,
             "mujoco": {
                 "version": mujoco.as_ref().ok().map(|library| &library.version),
                 "file": mujoco.as_ref().ok().and_then(|library| library.file.as_ref()),
@@ -63,10 +63,9 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
         });
         writeln!(terminal.out, "{}", serde_json::to_string_pretty(&value)?)?;
     } else {
-        let stages = exact::COMMITTED.len();
         let exactness = match &different[..] {
-            [] => (GOOD, format!("all {stages} stages give the committed digests")),
-            list => (BAD, format!("NOT EXACT in {} of {stages}: {}", list.len(), list.join(", "))),
+            [] => (GOOD, format!("all {STAGES} stages give the committed digests")),
+            list => (BAD, format!("NOT EXACT in {} of {STAGES}: {}", list.len(), list.join(", "))),
         };
         let disk = match disk {
             Ok(()) => (PLAIN, "the current folder can be written to".to_owned()),
@@ -104,11 +103,20 @@ pub fn doctor(arguments: &DoctorArgs, terminal: &mut Terminal) -> anyhow::Result
     Ok(if different.is_empty() { Done::Well } else { Done::Mismatch })
 }
 
+/// Stages of the self-test: those of every build of core, and TD3's.
+const STAGES: usize = exact::COMMITTED.len() + 1;
+
 /// Stages of the self-test whose digest is not the committed one.
 fn different_stages() -> Vec<&'static str> {
+    let td3 = (exact::td3() != exact::COMMITTED_TD3).then_some("td3");
     let digests = exact::digests();
     let expected = |name: &str| exact::COMMITTED.iter().find(|(stage, _)| *stage == name).map(|(_, digest)| *digest);
-    digests.into_iter().filter(|(name, digest)| expected(name) != Some(*digest)).map(|(name, _)| name).collect()
+    digests
+        .into_iter()
+        .filter(|(name, digest)| expected(name) != Some(*digest))
+        .map(|(name, _)| name)
+        .chain(td3)
+        .collect()
 }
 
 /// Whether runs can be written in a folder.

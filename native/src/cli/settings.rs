@@ -18,6 +18,8 @@ pub const QUICK: &[(&str, &str)] = &[
     ("safe_steps", "300"),
     ("full_steps", "300"),
     ("exploration", "50"),
+    // As many as the exploration steps, also in Reacher.
+    ("learning_starts", "0"),
     ("epsilon_decay", "200"),
     ("forecast", "200"),
     ("practice_reward_updates", "200"),

@@ -272,6 +272,23 @@ fn explores_uniformly_or_around_the_actor_within_the_bounds() {
 }
 
 #[test]
+fn fits_worlds_of_its_observations_and_actions() {
+    let spec = |width, actions| EnvSpec {
+        name: "arm",
+        observation: ObservationSpec { width, binary: false },
+        actions,
+        max_steps: 10,
+        reward_scale: 1.0,
+        deterministic: true,
+        legend: &[],
+    };
+    let agent = agent(&config(4));
+    assert!(agent.fits(&spec(3, ACTIONS)) && !agent.fits(&spec(4, ACTIONS)));
+    assert!(!agent.fits(&spec(3, ActionSpec::Continuous { names: &["a"], low: -1.0, high: 3.0 })));
+    assert!(!agent.fits(&spec(3, ActionSpec::Continuous { names: &["a", "b"], low: -1.0, high: 1.0 })));
+}
+
+#[test]
 fn updates_made_elsewhere_are_taken_over() {
     let batch = batch(&transitions(8));
     let (mut rng, mut trained) = (Rng::new(3), agent(&config(4)));

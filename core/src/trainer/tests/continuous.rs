@@ -1,8 +1,9 @@
 //! MC-TD3: the same loop with actions of numbers.
 
 use super::*;
-use crate::config::Scheme;
+use crate::config::{Preset, Scheme};
 use crate::env::reacher::{Button, ClosedForm, Reacher};
+use crate::env::{ActionSpec, contract};
 
 /// A short run.
 const SHORT: &str = "env=reacher safe_steps=4000 full_steps=2030 exploration=4000 learning_starts=500 hidden=32 batch=32 \
@@ -114,4 +115,74 @@ fn runs_of_the_button_world_resume_to_the_last_bit_and_polls_of_any_size_agree()
     let mut run = Run::resume(&run.snapshot()).unwrap();
     while run.poll(Budget(u32::MAX), &mut |event: &Event| told.push(event.clone())).unwrap() != Status::Done {}
     assert_eq!(decisions(&told), decisions(&whole));
+}
+
+/// A line of eight cells to walk along by numbers; the nearer its right end, the better. It is seen as zeros and
+/// ones, which its spec says or not.
+#[derive(Clone)]
+struct Line {
+    cell: usize,
+    steps: u32,
+    binary: bool,
+}
+
+impl Line {
+    const SPECS: [EnvSpec; 2] = [Self::spec_of(false), Self::spec_of(true)];
+
+    const fn spec_of(binary: bool) -> EnvSpec {
+        EnvSpec {
+            name: "line",
+            observation: ObservationSpec { width: 8, binary },
+            actions: ActionSpec::Continuous { names: &["stride"], low: -2.0, high: 2.0 },
+            max_steps: 16,
+            reward_scale: 0.125,
+            deterministic: false,
+            legend: &[],
+        }
+    }
+
+    fn show(&self, observation: &mut [f32]) {
+        observation.fill(0.0);
+        observation[..=self.cell].fill(1.0);
+    }
+}
+
+impl Environment for Line {
+    type Action = Continuous<1>;
+    fn spec(&self) -> &EnvSpec {
+        &Self::SPECS[usize::from(self.binary)]
+    }
+    fn reset(&mut self, rng: &mut Rng, observation: &mut [f32]) {
+        (self.cell, self.steps) = (rng.below(8) as usize, 0);
+        self.show(observation);
+    }
+    fn step(&mut self, action: &Continuous<1>, _: &mut Rng, observation: &mut [f32]) -> Step {
+        self.cell = (self.cell as f32 + action.0[0]).clamp(0.0, 7.0) as usize;
+        self.steps += 1;
+        self.show(observation);
+        let reward = self.cell as f32;
+        Step { reward, performance: reward, end: (self.steps == 16).then_some(EpisodeEnd::Truncated) }
+    }
+}
+
+#[test]
+fn binary_observations_go_with_actions_of_numbers_and_change_nothing_but_speed() {
+    let mut config = Config::custom(Preset::Paper);
+    let short = "safe_steps=1500 full_steps=12 exploration=400 epsilon_end=0 epsilon_decay=1 hidden=16 batch=16 lr=0.003 \
+                 forecast=20 rollouts=2 rollout_steps=8 evaluations=2 scheme=all practice=true practice_reward_updates=5";
+    for (key, value) in short.split_whitespace().filter_map(|pair| pair.split_once('=')) {
+        config.set(key, value).unwrap();
+    }
+    let [dense, binary] = [false, true].map(|binary| {
+        let world = Line { cell: 0, steps: 0, binary };
+        contract::check(&world, 3).unwrap();
+        events(Trainer::continuous(config.clone(), world.clone(), world), 50, |_| {})
+    });
+    assert_eq!(checks(&binary).len(), 12);
+    let returns: Vec<f64> = binary
+        .iter()
+        .filter_map(|event| if let Event::Evaluation(point) = event { Some(point.observed_return) } else { None })
+        .collect();
+    assert!(returns[0] < 90.0 && returns.last() > Some(&100.0), "it learns to walk to the right: {returns:?}");
+    assert_eq!(binary, dense);
 }
