@@ -87,6 +87,7 @@ export function looks(shown) {
 export function draw(target, frame, picture, other) {
   const shown = rows(frame, picture);
   const all = shown.join("");
+  target.classList.toggle("slim", shown[0].length < 4);
   if (all.includes("X")) return drawArm(target, pose(shown), other && pose(rows(other, picture)));
   const compared = other ? rows(other, picture).join("") : null;
   target.setAttribute("aria-label", `The world, row by row: ${shown.join(", ")}`);

@@ -1,4 +1,5 @@
-// Every scheme and baseline in ten recorded seeds: a table, and the band of one of them behind the curves.
+// Every scheme and baseline in ten recorded seeds: a table, the band of one of them behind the curves, and what became of
+// seeds like the recorded one on show.
 import { element, LEARNERS, make, number } from "./dom.js";
 import * as files from "./files.js";
 
@@ -7,10 +8,29 @@ let loaded = null;
 /** Title of the entry whose band is drawn; null for none. */
 let chosen = null;
 
+const sets = () => (loaded ??= files.get("bands.json").then((response) => response.json()));
+
+/** Titles of the sets whose settings a recording may have. The arm's set was moved by another simulator. */
+const SETS = new Map([
+  ["", "Check what surprises"],
+  ["lr_reward=0.001", "Check what surprises, reward model alive"],
+]);
+
+/** Seed and settings of a recorded run, and how many recorded seeds with these settings were hacked, if that is known. */
+export async function sample(configuration) {
+  const [world, ...rest] = configuration.slice(4).split(" ");
+  const settings = rest.filter((setting) => !setting.startsWith("seed="));
+  const seed = rest.find((setting) => setting.startsWith("seed="))?.slice(5) ?? "0";
+  const told = `Recorded: seed ${seed}, ${settings.map((setting) => `\`${setting}\``).join(", ") || "the paper’s setting"}.`;
+  // A page in a frame comes without the sets.
+  const all = world === "reacher" ? {} : await sets().catch(() => ({}));
+  const set = all[world]?.find(({ title }) => title === SETS.get(settings.join(" ")));
+  return set ? `${told} Of ${set.seeds} seeds with it ${set.hacked} are hacked in the end.` : told;
+}
+
 /** Shows what was recorded of a world; `choose(entry)` hears whose band is to be drawn, null for none. */
 export async function compare(world, choose) {
-  loaded ??= files.get("bands.json").then((response) => response.json());
-  const entries = await loaded.then((all) => all[world] ?? [], () => null);
+  const entries = await sets().then((all) => all[world] ?? [], () => null);
   if (!entries?.length) {
     PLACE.replaceChildren(make("p", entries ? "No set of ten seeds of this world comes with the page." : "The recorded sets could not be loaded."));
     return choose(null);

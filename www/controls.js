@@ -1,5 +1,6 @@
 // The form with every setting of a run, made from the module's own table.
 import { element, make } from "./dom.js";
+import { FIRST, given, untouched } from "./link.js";
 
 /** Settings with a place of their own, or none on a page that always shows both learners. */
 const ELSEWHERE = ["seed", "agent"];
@@ -18,7 +19,7 @@ export function fill(experiments, settings, configuration) {
       const field = make("div", "", "field");
       const label = make("label", name.replaceAll("_", " "));
       const input = make("input");
-      Object.assign(input, { id: `set-${name}`, name, value, autocomplete: "off" });
+      Object.assign(input, { id: `set-${name}`, name, defaultValue: value, autocomplete: "off" });
       input.dataset.standard = standard;
       label.htmlFor = input.id;
       const about = make("small", `${help} ${range}; standard for this world and preset: ${standard} (${source}).`);
@@ -30,12 +31,16 @@ export function fill(experiments, settings, configuration) {
   element("fields").replaceChildren(...fields);
 }
 
-/** What the form asks for beyond an untouched run; null where it has the standard. */
-export function changed() {
-  const changes = {};
+/** What the form asks for beyond an untouched run; null where it has the standard. Of another world than the one `shown`
+ * it is what was typed. */
+export function wanted(shown) {
+  const env = element("env").value;
+  const other = env !== (shown || given("env") || FIRST);
+  const changes = other ? untouched() : {};
   for (const input of element("fields").querySelectorAll("input")) {
     const value = input.value.trim();
-    changes[input.name] = value === "" || value === input.dataset.standard ? null : value;
+    if (other && value === input.defaultValue) continue;
+    changes[input.name] = value === "" || (!other && value === input.dataset.standard) ? null : value;
   }
-  return changes;
+  return { ...changes, env, seed: element("seed").value || "0" };
 }

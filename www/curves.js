@@ -208,17 +208,8 @@ export function scoreRows(scores, tolerance, over) {
   });
 }
 
-const told = (score) => `reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}`;
-
-/** Who took the bait at the end, a line each; `tempted` has the last step at which it paid each. */
-export function tellAll(scores, tempted) {
-  const judged = [...scores.values()].filter(({ arm }) => arm !== "safe");
-  const lines = judged.map((score) => {
-    const before = tempted.has(score.arm) ? `, though the bait paid it until step ${tempted.get(score.arm)}` : "";
-    return `${LEARNERS[score.arm]}: ${told(score)} at the end, ${parted(score) ? "hacked" : `not hacked${before}`}.`;
-  });
-  return lines.join("\n");
-}
+/** What a learner stands at. */
+export const told = (score) => `reward ${number(score.return, 1)}, performance ${number(score.performance, 1)}`;
 
 /** What the learner got with its check, or without. */
 export function tellGate(scores, settings) {

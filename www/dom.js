@@ -54,9 +54,6 @@ export function button(text, pressed) {
   return made;
 }
 
-/** Where a cell of a board lies, in words. */
-export const whereabouts = (cell, columns) => `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}`;
-
 /** An SVG element with attributes and children. */
 export function svg(name, attributes = {}, ...children) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", name);

@@ -2,8 +2,9 @@
 
 /** Listens from now on. */
 export function lightUp() {
+  // A formula is no text by itself, and a button needs a name.
+  for (const way of document.querySelectorAll("[data-light]:has(math)")) way.ariaLabel = way.textContent;
   for (const kind of ["pointerover", "focusin", "click"]) document.addEventListener(kind, light);
-  document.addEventListener("keydown", ({ key, target }) => key === "Enter" && light({ target, type: "click" }));
 }
 
 function light({ target, type }) {
@@ -12,5 +13,6 @@ function light({ target, type }) {
   if (!way) return;
   const parts = document.querySelectorAll(way.dataset.light);
   for (const part of parts) part.classList.add("lit");
-  if (type === "click") parts[0].scrollIntoView({ block: "center" });
+  // Before the first check there are no ratings.
+  if (type === "click") parts[0]?.scrollIntoView({ block: "center" });
 }

@@ -10,9 +10,19 @@ export const load = (name) => import(`./${name}`);
 /** The content of a file, as a response; one was asked for early. */
 export function get(name) {
   const { early } = globalThis;
-  if (early?.name !== name) return fetch(name);
-  globalThis.early = null;
-  return early.response;
+  const response = early?.name === name ? early.response : fetch(name);
+  if (early?.name === name) globalThis.early = null;
+  if (name.startsWith("tapes/")) keepSeen(name, response).catch(() => {});
+  return response;
+}
+
+/** Keeps a recording that came before the service worker was there. */
+async function keepSeen(name, response) {
+  const workers = navigator.serviceWorker;
+  if (!workers || workers.controller) return;
+  const copy = (await response).clone();
+  await workers.ready;
+  if (copy.ok) await (await caches.open("mcvl recordings")).put(name, copy);
 }
 
 /** A worker that runs a file. */
@@ -21,5 +31,6 @@ export const hire = (name) => new Worker(name, { type: "module" });
 /** Keeps the page, with the module that this browser takes, for visits without a network. */
 export function keepOffline(module) {
   // Without permission or a secure context the page needs its host, as any page does.
-  navigator.serviceWorker?.register(`sw.js?module=${module}`).catch(() => {});
+  const address = `sw.js?module=${module}`;
+  navigator.serviceWorker?.register(address, { updateViaCache: "none" }).catch(() => {});
 }

@@ -1,5 +1,5 @@
-// What hands do anywhere on the page: drop or choose a file, copy a field, press a key.
-import { element } from "./dom.js";
+// What hands do anywhere on the page: drop or choose a file, close a message, copy a field, press a key.
+import { element, say } from "./dom.js";
 
 /** Listens for it; `open(file)` shows a file, `play()` starts or halts the films, where there are some. */
 export function listen({ open, play }) {
@@ -16,6 +16,12 @@ export function listen({ open, play }) {
     open(target.files[0]);
     // The same file can be chosen again.
     target.value = "";
+  });
+
+  element("heard").addEventListener("click", () => {
+    say("error", "");
+    // This button is gone.
+    element("moment-title").focus({ preventScroll: true });
   });
 
   document.addEventListener("click", async ({ target }) => {

@@ -18,7 +18,7 @@ const VIEW = {
   embed: ["0", "`1`", (text) => ["0", "1"].includes(text)],
   hide: [null, `a list of ${PANELS.join(", ")}`, (text) => text.split(",").every((name) => PANELS.includes(name))],
 };
-const FIRST = "box-moving";
+export const FIRST = "box-moving";
 /** Settings that `mcvl train` has flags for. */
 const FLAGS = ["preset", "seed"];
 
@@ -28,7 +28,7 @@ const FRAMED = location.protocol === "about:";
 const asked = () => new URLSearchParams(location.search || document.documentElement.dataset.link);
 /** The tape with which the page opens; its run goes on live. */
 export const OPENING = "tape.json";
-/** The tapes of the worlds. */
+/** The tapes of the worlds; some have another seed or setting than the link names, which the page says. */
 export const RECORDED = new Map([
   [FIRST, OPENING],
   ...["absent-supervisor", "tomato-watering", "rocks-and-diamonds", "reacher"].map((world) => [world, `tapes/${world}.json`]),
@@ -36,6 +36,8 @@ export const RECORDED = new Map([
 
 /** What the link says, as far as it is sound. */
 let query = asked();
+/** The timer of an address that could not be written yet. */
+let late = 0;
 
 /**
  * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view;
@@ -50,6 +52,12 @@ export function read() {
   const plain = ["check", "tape", "token", "stage"].every((key) => !view[key]) && text.match(/^env=(\S+)( seed=0)?$/)?.[1];
   return { view, configuration: text, seed, complaint, plain };
 }
+
+/** What the link says of a key, or null. */
+export const given = (key) => query.get(key);
+
+/** Every setting of the run taken away. */
+export const untouched = () => Object.fromEntries([...query.keys()].filter((key) => !Object.hasOwn(VIEW, key)).map((key) => [key, null]));
 
 /** The address of this view; what was malformed is not in it. */
 export function address() {
@@ -74,16 +82,27 @@ export function forget() {
 /** Follows a link of the page; without one, the address that the browser went back to. False where nothing is new. */
 export function follow(to) {
   if (FRAMED) return false;
-  if (to) history.pushState(null, "", to);
   const before = query;
-  query = asked();
+  query = to && !enter("pushState", to) ? new URLSearchParams(to) : asked();
   return String(query) !== String(before);
 }
 
 /** Changes keys of the link; a default or a null takes the key away. */
 export function write(changes) {
   change(changes);
-  if (!FRAMED) history.replaceState(null, "", `?${query}`);
+  if (!FRAMED) enter("replaceState", `?${query}`);
+}
+
+/** Puts an address into the history; false where a browser takes no more for a while: the newest link follows later. */
+function enter(how, address) {
+  clearTimeout(late);
+  try {
+    history[how](null, "", address);
+    return true;
+  } catch {
+    late = setTimeout(() => enter("replaceState", `?${query}`), 1000);
+    return false;
+  }
 }
 
 function change(changes) {

@@ -1,8 +1,8 @@
 // Puts the panels together: what the worker or a tape says goes to them, what a person does goes into the link.
 import { board, draw, legend, readTrap } from "./board.js";
 import * as computer from "./computer.js";
-import { curves, scoreRows, tellAll, tellGate } from "./curves.js";
-import { callChecked, element, LEARNERS, make, number, parted, say, whereabouts } from "./dom.js";
+import { curves, scoreRows, tellGate } from "./curves.js";
+import { callChecked, element, LEARNERS, make, number, parted, say } from "./dom.js";
 import * as files from "./files.js";
 import { player, story } from "./film.js";
 import { ledger } from "./ledger.js";
@@ -114,7 +114,7 @@ function clear() {
   team?.leave();
   switched = "";
   callChecked(true);
-  say("gate-status", "");
+  for (const id of ["gate-status", "sample"]) say(id, "");
   for (const id of ["drive-start", "trap-start", "trap-end", "trap-cells", "red-team-start"]) element(id).hidden = true;
   for (const id of ["drive-status", "trap-status", "driven"]) element(id).replaceChildren();
   if (!team?.isOpen()) element("red-team-status").replaceChildren();
@@ -191,14 +191,16 @@ async function introduce() {
   run.asked = check.number;
   show(check);
   if (motion.matches) playTape(run.intro);
-  else if (!document.hidden) tell(check);
+  else tell(check);
   await painted();
   performance.mark("first-frame");
 }
 
-/** Tells a check from before it came to it. */
+/** Tells a check from before it came to it, once somebody looks. */
 function tell(check) {
-  tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
+  if (!document.hidden) return tale.play(check.unmodified.films[0].frames.slice(0, OPENING));
+  const still = () => run.shown === check && tell(check);
+  document.addEventListener("visibilitychange", still, { once: true });
 }
 
 /** Resolves when what was drawn is on the screen. */
@@ -416,18 +418,27 @@ function settle() {
   if (!run.asked) ask(checks.at(-1).number);
 }
 
-/** Where the trap is, and what came of it so far. */
-function tellTrap(came) {
-  const [columns] = (run.shown?.before ?? frameNow())?.seen.split("\n").map((row) => row.length) ?? [];
-  const where = columns ? ` in ${whereabouts(run.trap.cell, columns)}` : "";
-  element("trap-status").textContent = `A trap${where} pays ${run.trap.sign}.${came}`;
+/** Where the trap is, and what came of it so far; without a phase, in the end. */
+async function tellTrap(phase) {
+  const mine = run;
+  const { account } = await import("./trap.js");
+  if (run === mine) element("trap-status").textContent = account(run, run.shown?.before ?? frameNow(), phase);
 }
 
-/** The same seed with the check switched on or off. */
+/** The same seed with the check switched on or off; switched on again, it is the check that it was. */
 async function switchGate(on) {
   const before = run.over && run.scores.has("mc") && run.settings ? tellGate(run.scores, run.settings) : "The dotted line is the run before.";
+  const { check = { scheme: null } } = run;
+  const was = on ? check : { scheme: link.given("scheme"), punishment: link.given("punishment") };
+  if (!(await change(on ? check : { scheme: "none", punishment: null }, chart.keep))) return showGate();
   // The run that begins forgets the one before.
-  if (await change({ scheme: on ? null : "none" }, chart.keep)) switched = before;
+  switched = before;
+  run.check = was;
+}
+
+function showGate() {
+  const state = run.settings?.get("scheme") === "none" ? "off" : "on";
+  document.querySelector(`input[name=gate][value=${state}]`).checked = true;
 }
 
 /** Says how many recorded decisions came out again. */
@@ -476,7 +487,7 @@ const receive = {
     run.settings = new Map(settings.map(({ name, value }) => [name, value]));
     callChecked(run.settings.get("scheme") !== "none");
     element("gate").hidden = Boolean(driven);
-    document.querySelector(`input[name=gate][value=${run.settings.get("scheme") === "none" ? "off" : "on"}]`).checked = true;
+    showGate();
     if (switched) say("gate-status", switched);
     besides();
     element("trap-end").hidden = !run.trap;
@@ -511,7 +522,7 @@ const receive = {
     showScores(report.evaluations);
     chart.add(report);
     const phase = run.legs.has("mc") ? "Now both learners meet it." : "Safe training first, without it.";
-    if (run.trap && !run.over && phase !== run.phase) tellTrap(` ${(run.phase = phase)}`);
+    if (run.trap && !run.over && phase !== run.phase) tellTrap((run.phase = phase));
     if (report.checks.length === 0) return;
     for (const row of report.checks) run.rows.set(row.number, row);
     if (report.checks.some(({ number }) => number === run.intro?.checks.at(-1)?.number)) compareAgain();
@@ -540,7 +551,7 @@ const receive = {
     ended(`Done in ${number(seconds, 1)} seconds.`);
     if (run.intro) compareAgain();
     if (ballot?.waits) voteOn();
-    if (run.trap) tellTrap(`\n${tellAll(run.scores, run.tempted)}`);
+    if (run.trap) tellTrap();
     if (switched) say("gate-status", `${switched} ${tellGate(run.scores, run.settings)}`);
     team?.done(run.scores);
     settle();
@@ -590,19 +601,21 @@ function openTape(text, name) {
   settle();
   besides();
   const story = [view.check, view.frame, view.stage].every((key) => key === null);
-  if (story && run.shown?.modified?.films && !motion.matches && !document.hidden) tell(run.shown);
+  if (story && run.shown?.modified?.films && !motion.matches) tell(run.shown);
   if (tape.configuration) describe(tape.updates);
   else element("about").replaceChildren();
   return true;
 }
 
-/** Fills the form for the recorded run on show, and says what so many updates of it take here. */
+/** Says which run the recorded one on show is, fills the form for it, and says what so many updates of it take here. */
 async function describe(updates) {
-  const mine = run;
+  const [mine, { configuration }] = [run, run];
   element("again").textContent = AGAIN;
-  const [found, { fill }, { price }] = await Promise.all([computer.describe(run.configuration), controls(), recordings()]);
+  const telling = import("./compare.js").then(({ sample }) => sample(configuration));
+  telling.then((text) => run === mine && say("sample", text));
+  const [found, { fill }, { price }] = await Promise.all([computer.describe(configuration), controls(), recordings()]);
   if (run !== mine || !found.experiments) return;
-  fill(found.experiments, found.settings, run.configuration);
+  fill(found.experiments, found.settings, configuration);
   element("again").textContent = AGAIN + price(updates, found.pace);
 }
 
@@ -642,9 +655,7 @@ async function openFile(file) {
 /** Begins the run that the form describes; where it describes none, that is said and everything stays. */
 async function submit() {
   if (run.held && !run.edited) return release();
-  // A trap is set on a board.
-  const trap = element("env").value === run.world?.name ? {} : { trap: null };
-  return change({ env: element("env").value, seed: element("seed").value || "0", ...(await controls()).changed(), ...trap });
+  return change((await controls()).wanted(run.world?.name));
 }
 
 /** Begins the run with these settings changed, after `before`; where there is no such run, that is said, everything stays,
@@ -662,6 +673,8 @@ async function change(settings, before = () => {}) {
   link.write(changes);
   begun = true;
   begin();
+  // A check that is switched off outlasts what else is changed.
+  run.check = mine.check;
   return true;
 }
 
@@ -764,23 +777,15 @@ document.addEventListener("click", (event) => {
 addEventListener("popstate", () => link.follow() && begin("", true));
 
 document.addEventListener("change", ({ target }) => {
-  if (target.name === "speed") {
-    put({ speed: target.value });
-    film.speed = Number(view.speed);
-  }
-  if (target.name === "pace") {
-    put({ pace: target.value });
-    computer.tell({ kind: "pace", pace: view.pace });
-  }
-  if (target.name === "depth") put({ depth: target.value });
-  if (target.name === "gate") switchGate(target.value === "on");
-  if (target.name === "filter") {
-    put({ filter: target.value });
-    table.filter = view.filter;
-  }
-  if (target.name === "film") {
+  const { name, value } = target;
+  if (["speed", "pace", "depth", "filter"].includes(name)) put({ [name]: value });
+  if (name === "speed") film.speed = Number(value);
+  if (name === "pace") computer.tell({ kind: "pace", pace: value });
+  if (name === "filter") table.filter = value;
+  if (name === "gate") switchGate(value === "on");
+  if (name === "film") {
     stopStory();
-    put({ film: target.value, frame: null });
+    put({ film: value, frame: null });
     if (run.shown) open(run.shown);
   }
   if (target.id === "picture") {

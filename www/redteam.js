@@ -1,7 +1,7 @@
 // Red team: the visitor looks for a reward that the agent accepts although its performance falls. An attempt is a
 // trap with a weaker check; what came of each stays on the desk, with a link to the decision where one succeeded.
-import { button, element, make, number, parted, signed, whereabouts } from "./dom.js";
-import { offer } from "./trap.js";
+import { button, element, make, number, parted, signed } from "./dom.js";
+import { offer, whereabouts } from "./trap.js";
 
 export { places } from "./trap.js";
 

@@ -1,7 +1,16 @@
-// Keeps the page for visits without a network. With one, the network answers first, so that nobody sees an
-// old page; what it answers is kept.
+// Keeps the page for visits without a network. With one, the network answers, so that nobody sees an old page. Without
+// one, all files are of one build: the name of another one installs this worker anew.
 
-const KEPT = "mcvl";
+try {
+  importScripts("pkg/build.js");
+} catch {
+  // A page without a name stays as it is.
+}
+
+const home = new URL("./", location.href).pathname;
+const KEPT = `mcvl ${home} ${self.build}`;
+/** Recordings that were seen, of any build. */
+const RECORDINGS = "mcvl recordings";
 const module = new URL(location.href).searchParams.get("module");
 const FILES = [
   "./",
@@ -38,10 +47,13 @@ const FILES = [
 ];
 
 addEventListener("install", (event) => {
-  event.waitUntil(caches.open(KEPT).then((kept) => kept.addAll(FILES)).then(() => skipWaiting()));
+  // What the browser's own cache has may be of the build before.
+  const cache = registration.active ? "no-cache" : "default";
+  const files = FILES.map((name) => new Request(name, { cache }));
+  event.waitUntil(caches.open(KEPT).then((kept) => kept.addAll(files)).then(() => skipWaiting()));
 });
 
-addEventListener("activate", (event) => event.waitUntil(clients.claim()));
+addEventListener("activate", (event) => event.waitUntil(tidy().then(() => clients.claim())));
 
 addEventListener("fetch", (event) => {
   const { request } = event;
@@ -49,17 +61,23 @@ addEventListener("fetch", (event) => {
   if (request.method === "GET" && own) event.respondWith(answer(request));
 });
 
+/** Lets go of earlier builds; another copy of the page on the same host keeps its own. */
+async function tidy() {
+  for (const name of await caches.keys()) {
+    if (name.startsWith(`mcvl ${home} `) && name !== KEPT) await caches.delete(name);
+  }
+}
+
 async function answer(request) {
-  const kept = await caches.open(KEPT);
   // A link is the same page with another query.
   const { pathname } = new URL(request.url);
-  const home = new URL("./", location.href).pathname;
   const page = [home, `${home}index.html`].includes(pathname) ? "./" : request;
+  // Tapes of a run change and may be large: only the page's own are kept.
+  const recording = pathname.startsWith(`${home}tapes/`);
+  const kept = await caches.open(recording ? RECORDINGS : KEPT);
   try {
     const response = await fetch(request);
-    // Tapes of a run change and may be large: only the page's own files are kept, and its recordings once they were seen.
-    const recording = pathname.startsWith(`${home}tapes/`);
-    if (response.ok && (recording || (await kept.match(page)))) await kept.put(page, response.clone());
+    if (recording && response.ok) await kept.put(page, response.clone());
     return response;
   } catch (error) {
     const found = await kept.match(page);

@@ -1,11 +1,15 @@
 // Set a trap: the visitor chooses a cell of the new world and what it pays; both learners meet it.
 import { looks } from "./board.js";
 import { judge } from "./computer.js";
-import { element, make, whereabouts } from "./dom.js";
+import { told } from "./curves.js";
+import { element, LEARNERS, make, parted } from "./dom.js";
 import { preview } from "./link.js";
 
 /** What a trap pays unless the visitor says otherwise. */
 const BAIT = 5;
+
+/** Where a cell of a board lies, in words. */
+export const whereabouts = (cell, columns) => `row ${Math.floor(cell / columns) + 1}, column ${(cell % columns) + 1}`;
 
 /** Cells of the world on show where a trap can be: those on which an agent can stand. */
 export async function places(frame) {
@@ -43,4 +47,15 @@ export function offer(frame, legend, choice, chosen, place = element("trap-cells
   place.hidden = false;
   bait.focus();
   bait.select();
+}
+
+/** Where the trap of a run is, in a world that looks like this, and what came of it: the phase under way, or how its
+ * learners stand at the end; `tempted` has the last step at which it paid each. */
+export function account({ trap, scores, tempted }, frame, phase) {
+  const where = frame ? ` in ${whereabouts(trap.cell, frame.seen.indexOf("\n"))}` : "";
+  const ends = [...scores.values()].filter(({ arm }) => arm !== "safe").map((score) => {
+    const before = tempted.has(score.arm) ? `, though the bait paid it until step ${tempted.get(score.arm)}` : "";
+    return `\n${LEARNERS[score.arm]}: ${told(score)} at the end, ${parted(score) ? "hacked" : `not hacked${before}`}.`;
+  });
+  return `A trap${where} pays ${trap.sign}.${phase ? ` ${phase}` : ends.join("")}`;
 }

@@ -10,6 +10,7 @@
 //   frame:SELECTOR          goes on in this frame of the page; without one, in the page again
 //   axe:                    runs axe on the page standing still and gives its violations
 //   kill:PID                ends a process
+//   write:FILE TEXT         writes a text file
 //   patience:MILLISECONDS   waits so long for things from now on
 //   hurry:TIMES             timers of pages visited from now on run so many times as fast: stories, not trainings
 //
@@ -183,6 +184,10 @@ async function drive(port, commands) {
     },
     patience: (milliseconds) => void (patience = Number(milliseconds)),
     kill: (pid) => void process.kill(Number(pid), "SIGKILL"),
+    write: (what) => {
+      const [, file, content] = what.match(/^(\S+) (.*)$/s);
+      return writeFile(file, content);
+    },
     http: async (rest) => (await visit(`http:${rest}`), read()),
   };
 

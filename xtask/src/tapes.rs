@@ -39,6 +39,7 @@ const RECORDINGS: &[Recording] = &[
         checks: &[1, 2, 3, 4],
     },
     Recording { name: "tapes/tomato-watering", env: "tomato-watering", settings: &[], seed: 0, checks: &[8, 94, 98] },
+    // Seed 0 ends in the hack, as some others do: the page says so beside the link and the verdict.
     Recording {
         name: "tapes/rocks-and-diamonds",
         env: "rocks-and-diamonds",

@@ -9,6 +9,7 @@ use std::thread;
 use anyhow::{Context, Result, bail};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use sha2::{Digest as _, Sha256};
 
 use crate::process;
 use crate::setup::WASM;
@@ -35,7 +36,10 @@ const VISIT_BUDGET: u64 = 60_000;
 /// ... and of those that are loaded later.
 const LATER_BUDGET: u64 = 15_000;
 
-/// Builds both modules into `www/pkg` and compares their sizes with the page's budgets.
+/// Where the name of the build lies in `www`; the service worker imports it.
+const NAME: &str = "pkg/build.js";
+
+/// Builds both modules into `www/pkg`, names the build, and compares their sizes with the page's budgets.
 pub fn build() -> Result<()> {
     // At once: each is linked as one piece, on one core.
     let (glue, modules) = thread::scope(|scope| {
@@ -47,7 +51,21 @@ pub fn build() -> Result<()> {
     for ((name, _), module) in MODULES.iter().zip(modules) {
         process::run(process::command(&glue).arg(module?).arg(&folder).arg(name))?;
     }
-    report(&process::root().join("www"))
+    let www = process::root().join("www");
+    name_build(&www)?;
+    report(&www)
+}
+
+/// Names the build by all that it consists of, so that a browser that kept another one keeps this one.
+fn name_build(www: &Path) -> Result<()> {
+    let mut digest = Sha256::new();
+    for file in files(www)?.into_iter().filter(|file| !file.ends_with(NAME)) {
+        digest.update(fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?);
+    }
+    let name: String = digest.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+    let file = www.join(NAME);
+    fs::write(&file, format!("self.build = \"{name}\";\n"))
+        .with_context(|| format!("{} cannot be written", file.display()))
 }
 
 /// Compiles the program that makes the glue.

@@ -524,6 +524,52 @@ fn the_second_visit_needs_no_network() {
     assert_eq!(seen.verdicts, again.verdicts);
 }
 
+/// A copy of the page whose build has a name.
+fn copy_of_the_page(place: &std::path::Path) -> std::path::PathBuf {
+    let page = place.join("page");
+    for folder in ["", "pkg", "tapes"] {
+        fs::create_dir_all(page.join(folder)).unwrap();
+        for file in fs::read_dir(root().join("www").join(folder)).unwrap().map(Result::unwrap) {
+            if file.path().is_file() {
+                fs::copy(file.path(), page.join(folder).join(file.file_name())).unwrap();
+            }
+        }
+    }
+    fs::write(page.join("pkg/build.js"), "self.build = 'one';").unwrap();
+    page
+}
+
+#[test]
+fn the_first_recording_is_kept_and_another_build_replaces_all_files() {
+    let folder = scratch();
+    let copy = copy_of_the_page(folder.path());
+    let server = Server::start_page(&copy, None);
+    let recording = at(&server, "?env=tomato-watering");
+    // It was fetched before the worker was there.
+    let kept = "until:return Boolean(await caches.match('tapes/tomato-watering.json'))";
+    let later = "return (await (await caches.match('drive.js'))?.text() ?? '').startsWith('// Another build.')";
+    let write = |name: &str, text: &str| format!("write:{} {text}", copy.join(name).display());
+    let drive_js = fs::read_to_string(copy.join("drive.js")).unwrap();
+    let commands: [&str; 10] = [
+        &recording,
+        kept,
+        "until:return (await navigator.serviceWorker.getRegistration())?.active?.state === 'activated'",
+        &format!("eval:{later}"),
+        &write("drive.js", &format!("// Another build.\n{drive_js}")),
+        &write("pkg/build.js", "self.build = 'two';"),
+        &at(&server, &format!("?{LINK}")),
+        // A file that this visit did not need.
+        &format!("until:{later}"),
+        &format!("kill:{}", server.id()),
+        &recording,
+    ];
+    let (_, seen) = drive_and_listen(&commands);
+    assert_eq!(seen[3], false);
+    let (first, again) = (page(&seen[0]), page(&seen[9]));
+    assert!(again.error.is_empty() && !again.verdicts.is_empty(), "{again:?}");
+    assert_eq!(first.verdicts, again.verdicts);
+}
+
 #[test]
 fn a_browser_that_cannot_compute_still_tells_the_story() {
     let server = Server::start(None);

@@ -36,17 +36,13 @@ const DARK_AND_REDUCED: &str = r#"cdp:Emulation.setEmulatedMedia {"features": [
     {"name": "prefers-reduced-motion", "value": "reduce"}, {"name": "prefers-color-scheme", "value": "dark"}]}"#;
 
 #[test]
-fn every_world_is_chosen_in_the_form_trained_live_and_drawn() {
+fn every_world_is_trained_live_and_drawn() {
     let server = Server::start(None);
-    let mut commands = vec![at(&server, &format!("?{LINK}&practice_reward_updates=50"))];
+    let mut commands = Vec::new();
     // The arm is driven here, and trained natively.
     let trained: Vec<&Experiment> = EXPERIMENTS.iter().filter(|experiment| experiment.name != "reacher").collect();
     for experiment in &trained {
-        commands.push(format!(
-            "do:document.getElementById('env').value = {:?}; document.querySelector('#controls button').click(); \
-             await new Promise((go) => setTimeout(go, 300))",
-            experiment.name
-        ));
+        commands.push(at(&server, &format!("?env={}&{LINK}&practice_reward_updates=50", experiment.name)));
         commands.push(
             "eval:const kinds = (place) => [...new Set([...document.querySelectorAll(`${place} .cell`)].map((cell) => \
              cell.className.split(' ')[1]))].filter(Boolean); const letters = [...document.querySelectorAll('.cell')] \
@@ -68,9 +64,8 @@ fn every_world_is_chosen_in_the_form_trained_live_and_drawn() {
         &["agent", "diamond", "goal", "lever", "rock", "wall"],
     ];
     for (index, (experiment, pictures)) in trained.iter().zip(pictures).enumerate() {
-        let seen = &seen[1 + 8 * index..];
+        let seen = &seen[8 * index..];
         let page = page(&seen[0]);
-        assert!(page.link.contains(&format!("env={}", experiment.name)), "{page:?}");
         assert!(page.status.starts_with("Done in") && page.error.is_empty(), "{page:?}");
         let checks = checks_of(page.link.trim_start_matches('?'));
         assert!(!checks.is_empty() && page.scores.len() == 3, "{}: {page:?}", experiment.name);
@@ -86,6 +81,145 @@ fn every_world_is_chosen_in_the_form_trained_live_and_drawn() {
         for axe in [&seen[4], &seen[7]] {
             assert_eq!(*axe, Value::Array(Vec::new()), "{}", experiment.name);
         }
+    }
+}
+
+/// Chooses a world in the form, does something more there, and runs it.
+fn choose(world: &str, then: &str) -> String {
+    format!(
+        "eval:document.getElementById('env').value = {world:?}; {then} \
+         document.querySelector('#controls button').click()"
+    )
+}
+
+#[test]
+fn a_world_that_is_chosen_in_the_form_is_trained_at_its_own_settings() {
+    let server = Server::start(None);
+    // A recorded run with settings that Box Moving does not have, then a run whose settings are in the link.
+    let filled = "until:return document.getElementById('set-variant')?.value === 'walls-removed'";
+    let began = |world: &str| {
+        format!(
+            "until:return location.search.includes('env={world}') && !location.search.includes('tape') && \
+             document.getElementById('command').textContent.startsWith('mcvl train {world}')"
+        )
+    };
+    let link = "eval:return location.search".to_owned();
+    let commands = [
+        format!("go:{}", at(&server, "?tape=tapes/open-walls.json")),
+        filled.to_owned(),
+        choose("box-moving", ""),
+        began("box-moving"),
+        link.clone(),
+        text("error"),
+        at(&server, &format!("?{LINK}&agent=oracle&check=2")),
+        // What is typed for the new world goes along.
+        choose("absent-supervisor", "document.getElementById('set-full_steps').value = 70;"),
+        began("absent-supervisor"),
+        link,
+    ];
+    let seen = run_of(&commands);
+    assert_eq!((&seen[4], &seen[5]), (&"?env=box-moving&seed=1".into(), &"".into()));
+    assert_eq!(seen[9], "?seed=3&full_steps=70&env=absent-supervisor");
+}
+
+#[test]
+fn a_complaint_is_seen_where_the_visitor_is_and_can_be_closed() {
+    let server = Server::start(None);
+    let commands = [
+        width(390),
+        at(&server, &format!("?{LINK}")),
+        "eval:document.getElementById('settings').open = true; document.getElementById('set-threshold').value = '0,5'; \
+         const run = document.querySelector('#controls button'); run.scrollIntoView({ block: 'center' }); run.click()"
+            .to_owned(),
+        says("error", "Nothing was changed."),
+        // What lies over everything else there, far down the page.
+        "eval:const { left, top, bottom } = document.getElementById('error').getBoundingClientRect(); \
+         return [scrollY > innerHeight, top >= 0 && bottom <= innerHeight, document.elementFromPoint(left + 20, top + 9).id]"
+            .to_owned(),
+        "axe:".to_owned(),
+        focus("heard"),
+        "keys:Enter".to_owned(),
+        "eval:return [document.getElementById('error').hidden, document.activeElement.id, \
+         document.getElementById('heard').checkVisibility()]"
+            .to_owned(),
+    ];
+    let seen = run_of(&commands);
+    assert_eq!(seen[4], serde_json::json!([true, true, "error"]));
+    assert_eq!(seen[5], serde_json::json!([]));
+    assert_eq!(seen[8], serde_json::json!([true, "moment-title", false]));
+}
+
+#[test]
+fn a_browser_that_takes_no_more_addresses_gets_the_last_one_later() {
+    let server = Server::start(None);
+    let refuse = "eval:const { replaceState } = history; window.refused = 0; history.replaceState = (...address) => { \
+                  if (refused < 2) { refused += 1; throw new DOMException('too many', 'SecurityError'); } \
+                  replaceState.apply(history, address); }; \
+                  for (const check of [4, 2]) document.querySelector(`tr[data-check='${check}'] button`).click(); return refused";
+    let commands = [
+        at(&server, &format!("?{LINK}")),
+        refuse.to_owned(),
+        says("moment-name", "Check 2,"),
+        "until:return location.search.includes('check=')".to_owned(),
+        "eval:return location.search".to_owned(),
+    ];
+    let seen = run_of(&commands);
+    assert_eq!(seen[1], 2, "both checks were asked for all the same");
+    assert_eq!(seen[4], format!("?env=box-moving&{LINK}&check=2"));
+}
+
+#[test]
+fn a_story_waits_until_somebody_looks() {
+    let server = Server::start(None);
+    let source = "window.away = true; Object.defineProperty(document, 'hidden', { get: () => away })";
+    let away = format!("cdp:Page.addScriptToEvaluateOnNewDocument {}", serde_json::json!({ "source": source }));
+    let framed = "until:return performance.getEntriesByName('first-frame').length === 1".to_owned();
+    // Longer than the story takes in a hurry.
+    let waits = "eval:await new Promise((go) => setTimeout(go, 2000)); \
+                 return performance.getEntriesByName('verdict').length"
+        .to_owned();
+    let comes = "eval:window.away = false; document.dispatchEvent(new Event('visibilitychange')); \
+                 return document.getElementById('stage').textContent"
+        .to_owned();
+    let told = "until:return performance.getEntriesByName('verdict').length === 1".to_owned();
+    let mut commands = vec![HURRY.to_owned(), away];
+    for query in ["", "?env=rocks-and-diamonds"] {
+        let go = format!("go:{}", at(&server, query));
+        commands.extend([go, framed.clone(), waits.clone(), comes.clone(), told.clone()]);
+    }
+    let seen = run_of(&commands);
+    for seen in seen[2..].chunks(5) {
+        assert_eq!((&seen[2], &seen[3]), (&0.into(), &"How it goes on if nothing happens".into()));
+    }
+}
+
+/// What a stage of the first story shows is on the screen when it is told, and nothing moves for it.
+#[test]
+fn every_stage_is_told_on_the_screen() {
+    let server = Server::start(None);
+    let ends = |ids: &[&str]| {
+        format!(
+            "eval:return [Math.round(document.getElementById('before').getBoundingClientRect().top), \
+             {ids:?}.filter((id) => document.getElementById(id).getBoundingClientRect().bottom > innerHeight)]"
+        )
+    };
+    let stage =
+        |number: u32| format!("until:return document.getElementById('stage').textContent.startsWith('{number} of 6')");
+    let mut commands = Vec::new();
+    let (phone, desktop) = ([390, 844], [1280, 900]);
+    for ([width, height], last) in [(phone, "stamp"), (desktop, "margin")] {
+        commands.push(format!(
+            r#"cdp:Emulation.setDeviceMetricsOverride {{"width": {width}, "height": {height}, "deviceScaleFactor": 1, "mobile": false}}"#
+        ));
+        commands.push(format!("go:{}", at(&server, "")));
+        commands.extend([stage(4), ends(&["modified-board", "unmodified-board"])]);
+        commands.extend([stage(5), ends(&["modified-bar", "unmodified-bar"]), stage(6), ends(&[last])]);
+    }
+    let seen = run_of(&commands);
+    for seen in seen.chunks(8) {
+        let shown = [&seen[3], &seen[5], &seen[7]];
+        assert!(shown.iter().all(|shown| shown[1] == serde_json::json!([])), "below the screen: {shown:?}");
+        assert!(shown.iter().all(|shown| shown[0] == seen[3][0]), "it moves: {shown:?}");
     }
 }
 

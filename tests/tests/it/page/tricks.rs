@@ -50,9 +50,14 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         commands.push(format!("eval:document.querySelector(\"#recorded a[href='{link}']\").click()"));
         commands.extend([come, state, TOLD.into(), "do:".into(), "eval:return stays".into(), "axe:".into()]);
         // The form is that of the tape, to be run or changed.
-        commands.push("until:return document.getElementById('about').innerText".into());
         commands.push(
-            "eval:return [document.getElementById('env').value, document.getElementById('about').innerText]".into(),
+            "until:return document.getElementById('about').innerText && document.getElementById('sample').textContent"
+                .into(),
+        );
+        commands.push(
+            "eval:return [document.getElementById('env').value, document.getElementById('about').innerText, \
+             document.getElementById('sample').textContent, document.getElementById('recorded').innerText]"
+                .into(),
         );
     }
     let seen = run_of(&commands);
@@ -72,6 +77,80 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
         assert!(shown.stage.starts_with("6 of 6"), "the story is told to its verdict: {}", shown.stage);
         assert_eq!((&seen[8], &seen[9]), (&json!(true), &json!([])), "the page stays, and axe finds nothing");
         assert_eq!(seen[11][0], world);
+
+        // Which run it is, and what became of others like it, stands beside the verdict; what the link does not name
+        // stands beside the link.
+        let settings: Vec<&str> = tape["configuration"].as_str().unwrap().split(' ').skip(1).collect();
+        let (seed, settings): (Vec<_>, Vec<_>) = settings.into_iter().partition(|setting| setting.starts_with("seed="));
+        let seed = seed.first().map_or("0", |seed| &seed[5..]);
+        let named = if settings.is_empty() { "the paper’s setting".to_owned() } else { settings.join(", ") };
+        let mut expected = format!("Recorded: seed {seed}, {named}.");
+        if let Some((hacked, seeds)) = hacked(&[&[&*format!("env={world}")], &settings[..]].concat().join(" ")) {
+            expected += &format!(" Of {seeds} seeds with it {hacked} are hacked in the end.");
+        }
+        assert_eq!(seen[11][2], expected);
+        let beside = seen[11][3].as_str().unwrap();
+        assert!(settings.iter().all(|setting| beside.contains(setting)), "{world}: {beside}");
+        assert!(seed == "0" || beside.contains(&format!("(seed {seed}:")), "{world}: {beside}");
+    }
+    let (hacked, seeds) = hacked("env=rocks-and-diamonds").unwrap();
+    let beside = seen.last().unwrap()[3].as_str().unwrap();
+    assert!(beside.contains(&format!("seed 0 is hacked, as {hacked} of {seeds} are")), "{beside}");
+}
+
+/// The record of runs with these settings; of several, the one with most seeds.
+fn record(configuration: &str) -> Option<Value> {
+    let folder = root().join("results/records");
+    let names = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
+    let all = names.map(|path| serde_json::from_str::<Value>(&fs::read_to_string(path).unwrap()).unwrap());
+    let same = all.filter(|record| record["config"] == configuration);
+    same.max_by_key(|record| record["summary"]["seeds"].as_array().map_or(0, Vec::len))
+}
+
+/// The checking learner's seeds in a record.
+fn checking(record: &Value) -> &Vec<Value> {
+    let arms = record["summary"]["arms"].as_array().unwrap();
+    arms.iter().find(|arm| arm["arm"] == "mc").unwrap()["seeds"].as_array().unwrap()
+}
+
+/// How many of the recorded seeds with these settings are hacked, and how many there are.
+fn hacked(configuration: &str) -> Option<(usize, usize)> {
+    let record = record(configuration)?;
+    let of = |seed: &Value, key: &str| seed[key].as_f64().unwrap();
+    let parted = |seed: &&Value| of(seed, "return") > of(seed, "performance") + of(seed, "tolerance");
+    let seeds = checking(&record);
+    Some((seeds.iter().filter(parted).count(), seeds.len()))
+}
+
+/// What is said of wrong refusals and of costs is what was recorded.
+#[test]
+fn limits_say_what_was_recorded() {
+    let page = fs::read_to_string(root().join("www/index.html")).unwrap().replace('\n', " ");
+    let record = record("env=box-moving variant=no-inconsistency").unwrap();
+    let seeds = checking(&record);
+    let verdicts = |key: &str| seeds.iter().map(|seed| seed["verdicts"][key].as_u64().unwrap()).collect::<Vec<_>>();
+    let (refusals, checks) = (verdicts("honest_refused"), verdicts("checks").iter().sum::<u64>());
+    let from = |least: u64| refusals.iter().filter(|refusals| **refusals >= least).count();
+    let below = seeds.iter().filter(|seed| seed["return"].as_f64().unwrap() < 275.0).count();
+    let wrong = format!(
+        "{} of {} seeds refuse it all the same, {} of them 23 times or more ({} wrong refusals in {},{:03} checks), and \
+         {below} end below the 275 that can be had.",
+        from(1),
+        seeds.len(),
+        from(23),
+        refusals.iter().sum::<u64>(),
+        checks / 1000,
+        checks % 1000
+    );
+    assert!(page.contains(&wrong), "{wrong}");
+    // Updates of a check with two forecasts.
+    for (world, cost) in
+        [("tape", "1,000"), ("tapes/tomato-watering", "10,000"), ("tapes/rocks-and-diamonds", "40,000")]
+    {
+        let made = read(&format!("{world}.json"))["checks"][0]["cost"].as_u64().unwrap();
+        assert_eq!(made.to_string(), cost.replace(',', ""), "{world}");
+        let told = page.split_once("as much training as ").unwrap().1.split_once(" ordinary steps").unwrap().0;
+        assert!(told.split([' ']).any(|word| word.trim_end_matches(',') == cost), "{told}");
     }
 }
 
@@ -157,6 +236,35 @@ fn the_gate_is_switched_off_and_on_again_on_the_same_seed() {
     );
     assert!(seen[5].as_str().unwrap().starts_with("The check is off"), "{}", seen[5]);
     assert_eq!(seen[6], 1, "the run before stays in the picture");
+}
+
+/// Another scheme, and what only it reads, come back with the check; where there is no such run, the switch goes back.
+#[test]
+fn the_check_comes_back_as_it_was() {
+    let server = Server::start(None);
+    let switch = |to: &str| format!("eval:document.querySelector('[name=gate][value={to}]').click()");
+    let link = "eval:return [location.search, document.getElementById('error').textContent]".to_owned();
+    let refuse = "eval:const { postMessage } = Worker.prototype; Worker.prototype.postMessage = function (said) { \
+                  postMessage.call(this, said.kind === 'judge' ? { ...said, configuration: 'env=nowhere' } : said); }; \
+                  document.querySelector('[name=gate][value=off]').click()"
+        .to_owned();
+    let commands = [
+        at(&server, &format!("?{SHORT}&scheme=punish&punishment=-3")),
+        switch("off"),
+        "until:return location.search.includes('scheme=none')".to_owned(),
+        DONE.to_owned(),
+        link.clone(),
+        switch("on"),
+        "until:return !location.search.includes('scheme=none')".to_owned(),
+        DONE.to_owned(),
+        link,
+        refuse,
+        says("error", "Nothing was changed."),
+        "until:return document.querySelector('[name=gate]:checked').value === 'on'".to_owned(),
+    ];
+    let seen = run_of(&commands);
+    assert_eq!(seen[4], json!([format!("?env=box-moving&{SHORT}&scheme=none"), ""]));
+    assert_eq!(seen[8], json!([format!("?env=box-moving&{SHORT}&scheme=punish&punishment=-3"), ""]));
 }
 
 /// An attempt by keyboard at the width of a phone; what is found is a link to the decision.
@@ -254,8 +362,26 @@ fn an_explanation_lights_up_what_it_speaks_of() {
         "eval:return [...document.querySelectorAll('.lit')].map((part) => part.id)".to_owned(),
         "eval:document.getElementById('seed').focus()".to_owned(),
         "eval:return document.querySelectorAll('.lit').length".to_owned(),
+        // Each is a button with a name, and the space bar shows what it speaks of.
+        "eval:return [...document.querySelectorAll('[data-light]')].filter((way) => way.localName !== 'button' || \
+         !(way.ariaLabel || way.textContent)).length"
+            .to_owned(),
+        "axe:".to_owned(),
+        "eval:document.querySelector('[data-light=\"#got\"]').focus(); scrollTo(0, document.body.scrollHeight)"
+            .to_owned(),
+        "keys:Space".to_owned(),
+        "until:const { top, bottom } = document.getElementById('got').getBoundingClientRect(); \
+         return top > 0 && bottom < innerHeight"
+            .to_owned(),
+        // Before the first check there is nothing to show; the browser may not complain.
+        format!("go:{}", at(&server, "?env=tomato-watering&depth=formal&seed=1")),
+        "until:return document.querySelector('[data-light=\".rating\"]').ariaLabel".to_owned(),
+        "eval:document.querySelector('[data-light=\".rating\"]').click(); \
+         return document.querySelectorAll('.rating').length"
+            .to_owned(),
     ];
     let seen = run_of(&commands);
+    assert_eq!((&seen[6], &seen[7], &seen[13]), (&json!(0), &json!([]), &json!(0)));
     assert!(seen[1][0].as_u64().unwrap() >= 14, "{}", seen[1]);
     assert_eq!(seen[1][1], json!([]), "everything that is pointed at is there");
     assert_eq!((&seen[3], &seen[5]), (&json!(["got"]), &json!(0)));
