@@ -112,7 +112,7 @@ names! {
 }
 
 names! {
-    /// What the checking learner does with surprising transitions (specification section 2, S1 to S5).
+    /// What the checking learner does with surprising transitions (paper section 5.3).
     Scheme {
         /// Checks those whose received and predicted reward differ by the threshold or more.
         ByReward = "by-reward",
@@ -404,6 +404,9 @@ keys! {
     evaluation_episodes: u32 = "20", "Greedy episodes per evaluation point.", "A", |v| (1..=100_000).contains(v), "1 to 100000";
 }
 
+/// Settings, whether this run reads them, what does, and what is here instead.
+type Reader<'a> = (&'static [&'static str], bool, &'static str, &'a str);
+
 impl Config {
     /// The configuration of an experiment with the values of a preset.
     ///
@@ -570,9 +573,7 @@ impl Config {
             );
             return Err(ConfigError::new("hidden", message));
         }
-        if let Some((key, reader, this)) = self.without_effect() {
-            return Err(ConfigError::new(key, format!("{key}: {reader}, not {this}; leave it out")));
-        }
+        self.all_read(&self.readers_of_worlds())?;
         if self.rollouts == 0 && !self.current_rollout {
             let message = "rollouts: 0 with current_rollout=false leaves nothing to rate a future by; set one of them";
             return Err(ConfigError::new("rollouts", message.to_owned()));
@@ -588,36 +589,59 @@ impl Config {
         Ok(())
     }
 
-    /// A setting that is changed though nothing in this run reads it, what would, and what is here instead: runs that
-    /// differ in it alone would be the same. Not all are told: what shortens a run of any kind (`forecast`, `rollouts`,
-    /// `practice_reward_updates`) may stand in every one, and so may most of what a check reads where `scheme=none`
-    /// switches the checks of a run off.
-    fn without_effect(&self) -> Option<(&'static str, &'static str, &str)> {
-        let (env, scheme) = (self.env.as_str(), self.scheme.name());
-        // Who brings a world brings its learner, too.
-        let td3 = env == "reacher" || env == experiment::CUSTOM.name;
-        let noise: &[&str] = &["exploration_noise", "policy_noise", "noise_clip", "policy_delay"];
-        let watched: &[&str] = &["supervisors", "supervisors_safe"];
-        let (optimizer, decays) = (self.optimizer.name(), [Optimizer::AdamW, Optimizer::AdamWAmsGrad]);
-        let forecasting: &[&str] = &["forced", "copy_target", "copy_optimizer", "against", "paired_batches"];
-        let rating: &[&str] = &["paired_rollouts", "current_rollout", "discount_utility", "final_value", "tolerance"];
+    /// Checks that something in this run reads what was changed: runs that differ in nothing else would be the same. For
+    /// settings that somebody gives; where a run of before this was checked is read back, it is no reason to refuse it.
+    ///
+    /// Not all are told: what shortens a run of any kind (`forecast`, `rollouts`, `practice_reward_updates`) may stand in
+    /// every one, and so may most of what a check reads where `scheme=none` switches the checks of a run off.
+    ///
+    /// # Errors
+    /// The first setting that is changed and not read.
+    pub fn check_read(&self) -> Result<(), ConfigError> {
+        let (optimizer, scheme) = (self.optimizer.name(), self.scheme.name());
+        let decays = [Optimizer::AdamW, Optimizer::AdamWAmsGrad];
+        let forecasting = &["forced", "copy_target", "copy_optimizer", "against", "paired_batches"];
+        let rating = &["paired_rollouts", "current_rollout", "discount_utility", "final_value", "tolerance"];
         let forecasts = !matches!(self.scheme, Scheme::Discard | Scheme::EachStep);
-        let readers: [(&[&str], bool, &str, &str); 9] = [
-            (watched, env == "absent-supervisor", "supervisors watch absent-supervisor", env),
-            (&["flag"], env == "box-moving", "the flag stands in box-moving", env),
-            (&["physics"], env == "reacher", "MuJoCo moves Reacher", env),
-            (noise, td3, "it is of TD3, which learns reacher", env),
-            (&["punishment"], self.scheme == Scheme::Punish, "the scheme punish stores it", scheme),
+        self.all_read(&self.readers_of_worlds())?;
+        self.all_read(&[
             (&["weight_decay"], decays.contains(&self.optimizer), "it is of adamw and adamw-amsgrad", optimizer),
             (&["practice_epsilon"], self.practice, "it is of forecasts with practice=true", "practice=false"),
             (forecasting, forecasts, "it is of schemes that forecast", scheme),
             (rating, self.scheme != Scheme::Discard, "it is of schemes that rate futures", scheme),
-        ];
+        ])
+    }
+
+    /// Settings of some worlds and learners.
+    fn readers_of_worlds(&self) -> [Reader<'_>; 5] {
+        let (env, scheme) = (self.env.as_str(), self.scheme.name());
+        // Who brings a world brings its learner, too.
+        let td3 = env == "reacher" || env == experiment::CUSTOM.name;
+        let noise = &["exploration_noise", "policy_noise", "noise_clip", "policy_delay"];
+        [
+            (
+                &["supervisors", "supervisors_safe"],
+                env == "absent-supervisor",
+                "supervisors watch absent-supervisor",
+                env,
+            ),
+            (&["flag"], env == "box-moving", "the flag stands in box-moving", env),
+            (&["physics"], env == "reacher", "MuJoCo moves Reacher", env),
+            (noise, td3, "it is of TD3, which learns reacher", env),
+            (&["punishment"], self.scheme == Scheme::Punish, "the scheme punish stores it", scheme),
+        ]
+    }
+
+    fn all_read(&self, readers: &[Reader<'_>]) -> Result<(), ConfigError> {
         let changes = self.changes();
-        let unread = readers.into_iter().filter(|(_, read, ..)| !read);
-        unread
-            .flat_map(|(keys, _, reader, this)| keys.iter().map(move |key| (*key, reader, this)))
-            .find(|(key, ..)| changes.iter().any(|(name, _)| name == key))
+        let unread = readers.iter().filter(|(_, read, ..)| !read);
+        let mut unread = unread.flat_map(|(keys, _, reader, this)| keys.iter().map(move |key| (*key, reader, this)));
+        match unread.find(|(key, ..)| changes.iter().any(|(name, _)| name == key)) {
+            Some((key, reader, this)) => {
+                Err(ConfigError::new(key, format!("{key}: {reader}, not {this}; leave it out")))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Panics with what is wrong with it, where something is.

@@ -51,7 +51,7 @@ pub const COMMITTED: &[(&str, u64)] = &[
     ("reacher", 0xb2c1_5fa7_c048_3cf8),
 ];
 
-/// The digest that every target gives for [`td3`].
+/// The digest for [`td3`] of every vector unit of a native program; no module of the page has it.
 #[cfg(feature = "continuous")]
 pub const COMMITTED_TD3: u64 = 0xd22c_5a57_98e5_9126;
 

@@ -241,7 +241,7 @@ const REACHER: Experiment = Experiment {
         Override { key: "rollouts", value: "20", source: "own" },
         Override { key: "evaluations", value: "18", source: "own" },
     ],
-    // Returns of controllers, not optima (specification, Reacher 6).
+    // Returns of controllers, not optima (see `env::reacher`).
     safe_best: -3.66,
     intended: &[-3.66, -3.66, -3.66],
     hacking: &[Some((39.7, -10.3)), Some((40.8, -9.2)), None],

@@ -14,13 +14,23 @@
 //!
 //! # Where to look
 //! - [`env`](mod@env): worlds; implement [`env::Environment`] for yours and run [`env::contract::check`] on it.
-//! - [`trainer::Trainer`]: the loop, polled with a budget; [`run::Run`] is the same with its types erased,
-//!   for the built-in worlds.
+//! - [`trainer::Trainer`]: the loop, polled with a budget; [`run::Run`] is the same with its types erased, for the
+//!   built-in worlds and, by [`run::Run::of`], for yours: it is what has snapshots ([`run::Run::snapshot`],
+//!   [`run::Run::resume_of`]).
 //! - [`play::Play`]: a built-in world without a learner.
 //! - [`config`]: every setting with its meaning and source; a run is a string.
 //! - [`record`]: what a run says, and what every number means.
 //! - [`check`], [`forecast`]: the decision; [`agent`], [`nn`], [`replay`]: what learns.
 //! - [`exact`]: the proof that this machine computes what every other does.
+//!
+//! Numbers like R14 in the documentation are rows of `docs/method.md` in the repository: the rules of the method, with
+//! their sources. A program without `std` brings an allocator. Without optimisation training is some twenty times slower;
+//! the profile of a dependency stands in the program's own `Cargo.toml`:
+//!
+//! ```toml
+//! [profile.dev.package.mcvl-core]
+//! opt-level = 3
+//! ```
 #![no_std]
 #![deny(unsafe_code)]
 extern crate alloc;

@@ -1,4 +1,5 @@
-//! A run with its types erased: what the command line, the page and embedders of the built-in worlds hold.
+//! A run with its types erased: what the command line and the page hold, and whoever wants snapshots, also of worlds of
+//! their own ([`Run::of`]).
 
 use alloc::borrow::ToOwned;
 use alloc::boxed::Box;

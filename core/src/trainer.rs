@@ -1,7 +1,7 @@
 //! The only training loop, and the only writer of the replay buffer.
 //!
 //! A [`Trainer`] leads one learner through two legs: Safe training without checks, then the Full world,
-//! plain or with the modification check (paper algorithm 5, specification R6 to R26). It is a state
+//! plain or with the modification check (paper algorithm 5, docs/method.md R6 to R26). It is a state
 //! machine without input or output of its own: [`Trainer::poll`] does a bounded amount of work and
 //! returns; how the work is cut into polls changes no bit.
 //!
@@ -441,7 +441,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         self.tail.clear();
     }
 
-    /// Probability of a random action at the next step (specification R9, R10).
+    /// Probability of a random action at the next step (docs/method.md R9, R10).
     fn epsilon(&self) -> f32 {
         let c = &self.config;
         let continued = self.arm != Arm::Safe && !c.epsilon_restart;
@@ -660,6 +660,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             if self.work.rows.is_empty() {
                 break;
             }
+            // Nothing is left of the step before, also for a learner of an application that only adds.
+            actions.clear();
             self.agent.act(&self.work.rows, &mut self.work.scratch, &mut actions);
             for ((start, end), action) in going.iter_mut().filter(|g| g.1.is_none()).zip(&actions) {
                 let step = start.world.step(action, &mut start.rng, &mut start.observation);

@@ -101,6 +101,15 @@ impl Part {
         }
     }
 
+    /// Whether the program that adds it is there.
+    fn can_be_added(&self) -> bool {
+        match self.source {
+            Source::Npm(..) => process::exists(&["npm"]),
+            Source::Mujoco => has_pip(),
+            _ => true,
+        }
+    }
+
     fn describe(&self) -> String {
         let what = match self.source {
             Source::Target(target) => format!("the compilation target {target} (rustup)"),
@@ -133,22 +142,31 @@ pub fn ensure(purpose: Purpose) -> Result<()> {
         .flat_map(|part| match part.source {
             Source::Apt(package) => vec![package],
             Source::Vulkan => DRIVERS.to_vec(),
+            Source::Mujoco if !has_pip() => vec!["python3-pip"],
             _ => Vec::new(),
         })
         .collect();
+    // What one part lacks, such as root, is no reason to go without the others.
+    let mut failures = Vec::new();
     if !packages.is_empty() {
-        add_packages(&packages)?;
+        failures.extend(add_packages(&packages).err());
     }
     for part in missing {
-        match part.source {
-            Source::Target(target) => add_target(target)?,
-            Source::Apt(_) | Source::Vulkan => {}
-            Source::Npm(folder, _) => add_locked(folder)?,
-            Source::Crate(name) => add_crate(name)?,
-            Source::Mujoco => add_mujoco()?,
-        }
+        let added = match part.source {
+            Source::Target(target) => add_target(target),
+            Source::Apt(_) | Source::Vulkan => Ok(()),
+            // npm and pip come with the packages.
+            Source::Npm(..) | Source::Mujoco if !failures.is_empty() && !part.can_be_added() => Ok(()),
+            Source::Npm(folder, _) => add_locked(folder),
+            Source::Crate(name) => add_crate(name),
+            Source::Mujoco => add_mujoco(),
+        };
+        failures.extend(added.err());
     }
-    Ok(())
+    match &failures[..] {
+        [] => Ok(()),
+        several => bail!("{}", several.iter().map(|error| format!("{error:#}")).collect::<Vec<_>>().join("; and ")),
+    }
 }
 
 /// Vulkan's loader and Mesa's drivers, the one for processors among them.
@@ -240,11 +258,15 @@ pub fn offer_mujoco() {
 
 /// Fetches MuJoCo's library with pip, and pip before it where there is none.
 fn add_mujoco() -> Result<()> {
-    if process::output(process::command("python3").args(["-m", "pip", "--version"])).is_none() {
+    if !has_pip() {
         eprintln!("setup: will install the package python3-pip (apt-get): fetches MuJoCo's library");
         add_packages(&["python3-pip"])?;
     }
     mujoco::fetch()
+}
+
+fn has_pip() -> bool {
+    process::output(process::command("python3").args(["-m", "pip", "--version"])).is_some()
 }
 
 /// Installs a program from crates.io; going without one is no failure.

@@ -28,6 +28,9 @@ const STAGES: &[Stage] = &[
     ("build", || run(cargo().arg("build").args(everything()).arg("--all-targets"))),
     ("tests", tests),
     ("documentation tests", || run(with_program(cargo().args(["test", "--doc"]).args(everything())))),
+    ("documentation", || {
+        run(cargo().env("RUSTDOCFLAGS", "-D warnings").args(["doc", "--package", "mcvl-core", "--no-deps"]))
+    }),
     ("examples", examples),
 ];
 
@@ -80,7 +83,13 @@ fn tests() -> Result<()> {
         return run(with_program(cargo().args(["nextest", "run"]).args(everything())));
     }
     eprintln!("cargo-nextest is not installed (`cargo xtask setup` does it): `cargo test` runs the same tests");
-    run(with_program(cargo().arg("test").args(everything()).args(["--lib", "--bins", "--tests"])))
+    let test = |filter: &[&str]| {
+        let kinds = ["--lib", "--bins", "--tests", "--"];
+        run(with_program(cargo().arg("test").args(everything()).args(kinds).args(filter)))
+    };
+    test(&["--skip", "page::"])?;
+    // Browsers starve one another.
+    test(&["page::", "--test-threads=1"])
 }
 
 /// Tells the tests which `mcvl` to run: the one that the stage before built. Where there is a driver, tests of

@@ -1,4 +1,4 @@
-//! Double DQN (van Hasselt et al. 2016) as the paper uses it (specification R1 to R9).
+//! Double DQN (van Hasselt et al. 2016) as the paper uses it (docs/method.md R1 to R9).
 //!
 //! # Update
 //! On a batch of (s, a, r, s', terminated), with live parameters θ and target parameters θ⁻:

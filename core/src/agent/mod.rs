@@ -20,13 +20,14 @@ pub trait Agent: Clone {
     /// What it does in the world.
     type Action: Action;
 
-    /// The policy's action for every row, without exploration.
+    /// The policy's action for every row, without exploration, in place of what `actions` held.
     fn act(&self, observations: &Rows, scratch: &mut Scratch, actions: &mut Vec<Self::Action>);
 
-    /// Value of doing `actions[i]` in row `i` and following the policy from there, scaled units.
+    /// Value of doing `actions[i]` in row `i` and following the policy from there, scaled units, in place of what
+    /// `values` held.
     fn values(&self, observations: &Rows, actions: &[Self::Action], scratch: &mut Scratch, values: &mut Vec<f32>);
 
-    /// Value of every row by the target network and its own best action, scaled units.
+    /// Value of every row by the target network and its own best action, scaled units, in place of what `values` held.
     fn target_values(&self, observations: &Rows, scratch: &mut Scratch, values: &mut Vec<f32>);
 
     /// One gradient update on a mini-batch; returns the mean loss before it.

@@ -1,8 +1,8 @@
-//! The reward model R(s, a; ψ): what reward the learner expects (specification R1, R3, R5).
+//! The reward model R(s, a; ψ): what reward the learner expects (docs/method.md R1, R3, R5).
 //!
 //! A network from (observation, action) to one number, trained by mean squared error on the
 //! rewards of the value function's mini-batches. It predicts for the trigger and rates forecast futures;
-//! a forecast never trains it, but at most a copy (specification R27).
+//! a forecast never trains it, but at most a copy (docs/method.md R27).
 
 use alloc::vec;
 use alloc::vec::Vec;
@@ -44,6 +44,12 @@ struct Work {
     output_gradient: Buffer,
 }
 
+/// What it reads: an observation and an action. Actions of numbers make the whole row one of numbers.
+fn input_of(observation: ObservationSpec, actions: &ActionSpec) -> ObservationSpec {
+    let binary = observation.binary && matches!(actions, ActionSpec::Discrete(_));
+    ObservationSpec { width: observation.width + actions.features(), binary }
+}
+
 impl RewardModel {
     /// A fresh model with `layers` hidden layers of `hidden` units.
     pub fn new(
@@ -54,9 +60,7 @@ impl RewardModel {
         adam: AdamConfig,
         rng: &mut Rng,
     ) -> Self {
-        // Actions of numbers make the whole row one of numbers.
-        let binary = observation.binary && matches!(actions, ActionSpec::Discrete(_));
-        let input = ObservationSpec { width: observation.width + actions.features(), binary };
+        let input = input_of(observation, actions);
         let mut sizes = vec![input.width];
         sizes.extend(core::iter::repeat_n(hidden, layers));
         sizes.push(1);
@@ -167,9 +171,10 @@ impl RewardModel {
 
     /// Whether it reads the observations and actions of a world with this spec.
     pub(crate) fn fits(&self, spec: &EnvSpec) -> bool {
-        let (width, actions) = (spec.observation.width, spec.actions.features());
-        let binary = spec.observation.binary && matches!(spec.actions, ActionSpec::Discrete(_));
-        self.actions == actions && self.input.width == width + actions && (binary || !self.input.binary)
+        let input = input_of(spec.observation, &spec.actions);
+        self.actions == spec.actions.features()
+            && self.input.width == input.width
+            && (input.binary || !self.input.binary)
     }
 
     /// Digest of the parameters.

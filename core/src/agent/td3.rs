@@ -1,5 +1,5 @@
 //! Twin delayed deep deterministic policy gradient (Fujimoto et al. 2018) as the paper uses it
-//! (specification R40 to R46).
+//! (docs/method.md R40 to R46).
 //!
 //! # Update
 //! On a batch of (s, a, r, s', terminated), with an actor π, two critics Q₁ and Q₂, and target copies π⁻,

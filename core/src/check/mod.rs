@@ -8,7 +8,7 @@
 //! 4. [`decide`]: refuse if the changed future is worse;
 //! 5. [`Disposition`]: what becomes of the transition.
 //!
-//! # Schemes of comparison (paper section 5.3, specification section 2)
+//! # Schemes of comparison (paper section 5.3)
 //! `discard` stops after the trigger and drops the transition. `each-step` stores every transition and
 //! judges updates instead: two policies, before and after one update, are rated by the values before it.
 //! `punish` and `store-predicted` store a refused transition under another reward.
@@ -18,7 +18,7 @@ pub mod utility;
 use crate::config::{Config, Scheme};
 use crate::record::Verdict;
 
-/// Which transitions are checked (specification R12).
+/// Which transitions are checked (docs/method.md R12).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
     /// Those whose scaled reward differs from the predicted one by the threshold or, where that is not inclusive, by more.
@@ -79,7 +79,7 @@ pub enum Disposition {
 }
 
 impl Disposition {
-    /// What a scheme does with a transition after a verdict (specification R25, R26, S5).
+    /// What a scheme does with a transition after a verdict (docs/method.md R25, R26).
     pub fn new(verdict: Verdict, config: &Config, predicted: f32) -> Self {
         match (verdict, config.scheme) {
             (Verdict::Accept, _) => Disposition::Store,
@@ -90,7 +90,7 @@ impl Disposition {
     }
 }
 
-/// The decision between two futures (specification R24): the modified one is refused if its utility is
+/// The decision between two futures (docs/method.md R24): the modified one is refused if its utility is
 /// lower by more than `tolerance`; ties accept.
 pub fn decide(modified: f64, unmodified: f64, tolerance: f32) -> Verdict {
     if unmodified - modified > f64::from(tolerance) { Verdict::Refuse } else { Verdict::Accept }

@@ -1,6 +1,6 @@
 //! The utility of a policy: what the learner values *today* in what that policy does.
 //!
-//! For one rollout of at most `h` steps (paper equation 2, specification R20 to R23):
+//! For one rollout of at most `h` steps (paper equation 2, docs/method.md R20 to R23):
 //! ```text
 //! Σ_{t<n} γᵗ·R(s_t, a_t; ψ)  +  γⁿ·Q(s_n, a_n; θ)     a_t = π(s_t), n ≤ h
 //! ```
@@ -111,6 +111,8 @@ where
     let (mut actions, mut numbers) = (Vec::new(), Vec::new());
     for _ in 0..config.rollout_steps {
         let Some(rows) = observe(&going, |g| g.end.is_none()) else { break };
+        // Nothing is left of the step before, also for a learner of an application that only adds.
+        actions.clear();
         policy.act(&rows, &mut scratch, &mut actions);
         judge.reward.predict(&rows, &actions, &mut scratch, &mut numbers);
         for ((g, action), &predicted) in going.iter_mut().filter(|g| g.end.is_none()).zip(&actions).zip(&numbers) {
@@ -130,6 +132,8 @@ where
     }
     let open = |g: &Going<E>| g.end != Some(EpisodeEnd::Terminated);
     if let Some(rows) = observe(&going, open) {
+        actions.clear();
+        numbers.clear();
         match config.final_value {
             FinalValue::Live => {
                 policy.act(&rows, &mut scratch, &mut actions);

@@ -44,7 +44,7 @@ pub trait Environment: Clone {
 
     /// The copy in which forecast policies are rated: what the learner takes for the course of the world.
     /// An equal copy by default; it differs where the world's observations lie to the agent and its
-    /// model of the world is not to lie (specification R28). What the learner has seen stays seen: rollouts and practice
+    /// model of the world is not to lie (docs/method.md R28). What the learner has seen stays seen: rollouts and practice
     /// from the state after a step begin with the observation of that step, and go on with the model's.
     fn model(&self) -> Self {
         self.clone()

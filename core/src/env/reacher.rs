@@ -13,7 +13,7 @@
 //! What moves the arm is a [`Physics`]: the [`ClosedForm`] here, or MuJoCo in the native program. Everything
 //! else is written once, here.
 //!
-//! # Returns over 50 steps (specification, Reacher 6; means of controllers, not optima)
+//! # Returns over 50 steps (means of controllers, not optima)
 //! A good reacher −3.66. Pressing the proposed button, then reaching: observed 39.7, performance −10.3;
 //! staying on it: 39.0, −11.0. No torque −11.8, uniformly random torques −42.9.
 

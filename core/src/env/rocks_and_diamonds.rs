@@ -24,7 +24,7 @@
 //! | hack where a switched rock pays +1 only | 193 / 5 |
 //!
 //! The paper's forecasts of this world also practise in the transition model («add transitions from
-//! transition model», specification R27): setting `practice`, on by default here.
+//! transition model», docs/method.md R27): setting `practice`, on by default here.
 
 use serde::{Deserialize, Serialize};
 
@@ -299,7 +299,7 @@ impl BuiltIn for RocksAndDiamonds {
 
     fn worlds(config: &Config) -> (Self, Self) {
         let bonus = if config.variant == "plus-one" { Bonus::One } else { Bonus::Ten };
-        // AI Safety Gridworlds' own level has both switches, the paper's room one (specification 5.1).
+        // AI Safety Gridworlds' own level has both switches, the paper's room one.
         let (map, switches) = match config.map.as_str() {
             "original" => (Map::Large, Switches::Both),
             _ => (Map::Small, Options::FULL.switches),

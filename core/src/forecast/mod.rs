@@ -20,7 +20,7 @@ use crate::replay::{ReplayBuffer, Transition};
 use crate::rng::{Purpose, Rng};
 use crate::run::Budget;
 
-/// What a forecast takes along from the live learner besides its parameters (specification R15).
+/// What a forecast takes along from the live learner besides its parameters (docs/method.md R15).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Carry {
     /// The target networks; without, they start equal to the live networks.
@@ -35,7 +35,7 @@ impl Carry {
 }
 
 /// One future to train: a copy of `agent` makes `updates` updates on mini-batches from `replay`, each
-/// with the forced transitions appended (specification R13 to R17); where it practises, on those of a copy
+/// with the forced transitions appended (docs/method.md R13 to R17); where it practises, on those of a copy
 /// of `replay` that grows by its practice. Nothing of the job is changed.
 #[derive(Serialize)]
 #[serde(bound = "E: Serialize, A: Serialize, A::Action: Serialize")]

@@ -1,4 +1,4 @@
-//! Practice in the transition model («add transitions from transition model», specification R27).
+//! Practice in the transition model («add transitions from transition model», docs/method.md R27).
 //!
 //! A future that practises has copies of its own: of the reward model, of the replay buffer and of the
 //! world in the state after the checked transition.

@@ -93,7 +93,7 @@ struct Layer {
 
 impl Mlp {
     /// A network of these layer sizes (input first, output last) with every weight and bias uniform in
-    /// ±1/√inputs of its layer: the common frameworks' default (specification R1).
+    /// ±1/√inputs of its layer: the common frameworks' default (docs/method.md R1).
     ///
     /// # Panics
     /// With fewer than two sizes or a size of zero.

@@ -62,7 +62,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         Ok(())
     }
 
-    /// Names the random streams of a check (specification R18): by what has been learned, or by a number
+    /// Names the random streams of a check (docs/method.md R18): by what has been learned, or by a number
     /// from the learner's own stream.
     fn draw(&mut self) -> u64 {
         if self.config.own_streams { self.updates + self.dropped } else { self.explore_rng.next_u64() }
@@ -175,7 +175,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         Ok(Poll::Ready(()))
     }
 
-    /// The scheme `each-step` (specification S4): stores the transition, makes one update, rates the greedy
+    /// The scheme `each-step`: stores the transition, makes one update, rates the greedy
     /// policies after and before it by the values before it, and takes the update back if it made the policy
     /// worse: parameters, target network and optimisers of both networks.
     fn check_update(

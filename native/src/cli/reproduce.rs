@@ -88,8 +88,6 @@ pub struct ReproduceArgs {
 struct Wanted {
     cell: &'static Cell,
     plan: Plan,
-    /// Whether an experiment that was asked for needs it. Of the others the tables and figures tell what is there.
-    asked: bool,
     /// Whether it is to be trained if it is not there.
     train: bool,
 }
@@ -102,16 +100,8 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     let mut lent = lent(&arguments.from, &wanted, arguments, terminal)?;
     // Everything that is there is looked at before anything is changed.
     let mut standings: Vec<(&Wanted, Standing)> = Vec::new();
-    let mut others: Vec<(String, Record)> = Vec::new();
     for wanted in &wanted {
-        let lent = lent.remove(wanted.cell.name);
-        match folder.standing(wanted, lent) {
-            Ok(standing) if wanted.asked => standings.push((wanted, standing)),
-            Ok(standing) => others.extend(standing.record.map(|record| (wanted.cell.name.to_owned(), record))),
-            Err(error) if wanted.asked => return Err(error),
-            // Nothing here depends on it: whoever asks for it is told.
-            Err(_) => {}
-        }
+        standings.push((wanted, folder.standing(wanted, lent.remove(wanted.cell.name))?));
     }
     if arguments.dry_run {
         return dry_run(arguments, &standings, terminal);
@@ -161,8 +151,14 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     for cell in made {
         folder.keep(&records[cell.name], cell)?;
     }
-    // What else is finished here stays in the tables and figures.
-    records.extend(others);
+    // What else is finished here by now stays in the tables and figures.
+    let asked = table::unique(experiments.iter().flat_map(|experiment| experiment.cells()));
+    for cell in table::cells().into_iter().filter(|cell| !asked.contains(cell)) {
+        match folder.beside(&arguments.wants(cell)?) {
+            Ok(record) => records.extend(record.map(|record| (cell.name.to_owned(), record))),
+            Err(why) => terminal.note(format_args!("note: left out of tables and figures: {why:#}")),
+        }
+    }
     let whole = |experiment: &Experiment| experiment.cells().iter().all(|cell| records.contains_key(cell.name));
     let is_asked = |experiment: &Experiment| experiments.iter().any(|asked| asked.id == experiment.id);
     let is_told = |experiment: &&Experiment| is_asked(experiment) || whole(experiment);
@@ -213,21 +209,20 @@ impl ReproduceArgs {
         self.output.clone().unwrap_or_else(|| Path::new("runs").join(name))
     }
 
-    /// All cells, those of some experiments as they are to be trained.
+    /// The cells of some experiments as they are to be trained.
     fn wanted(&self, experiments: &[&Experiment]) -> anyhow::Result<Vec<Wanted>> {
         let cells = table::unique(experiments.iter().flat_map(|experiment| experiment.cells()));
         let names: Vec<&str> = cells.iter().map(|cell| cell.name).collect();
         if let Some(name) = self.only.iter().find(|name| !names.contains(&name.as_str())) {
             usage!("--only: {}", expected_one_of(name, &names));
         }
-        let others = table::cells().into_iter().filter(|cell| !names.contains(&cell.name));
-        let all = cells.iter().copied().map(|cell| (cell, true)).chain(others.map(|cell| (cell, false)));
-        let wanted = all.map(|(cell, asked)| {
-            let seeds = cell.planned(self.quick, self.seeds.as_deref());
-            let named = self.only.is_empty() || self.only.iter().any(|name| name == cell.name);
-            Ok(Wanted { cell, plan: cell.plan(self.quick, &seeds)?, asked, train: asked && named && !self.evaluate })
-        });
-        wanted.collect()
+        cells.into_iter().map(|cell| self.wants(cell)).collect()
+    }
+
+    fn wants(&self, cell: &'static Cell) -> anyhow::Result<Wanted> {
+        let seeds = cell.planned(self.quick, self.seeds.as_deref());
+        let train = !self.evaluate && (self.only.is_empty() || self.only.iter().any(|name| name == cell.name));
+        Ok(Wanted { cell, plan: cell.plan(self.quick, &seeds)?, train })
     }
 
     /// Files beside the folder that are to be written: before hours are spent, nothing of somebody else may be in the way.

@@ -184,6 +184,7 @@ impl Session {
         }
         plan.write(&run)?;
         let mut manifest = Manifest::begin();
+        manifest.moved_by(plan.config.physics);
         manifest.write(&run, State::Running, &[])?;
         let jobs = jobs(&run, &plan).map(Job::ready).collect();
         Ok(Self { run, plan, manifest, jobs, _lock: lock })
@@ -292,7 +293,7 @@ impl Session {
         }
         let open = self.plan.seeds.len() - finished.len() - diverged.len();
         if open > 0 {
-            diverged.iter().for_each(|error| terminal.note(format_args!("error: {error}")));
+            diverged.iter().for_each(|error| say(format_args!("error: {error}")));
             self.manifest.write(&self.run, State::Interrupted, &finished)?;
             return Ok(Ended::Interrupted(open));
         }
@@ -305,7 +306,7 @@ impl Session {
         }
         let mut diverged = diverged.into_iter();
         if let Some(first) = diverged.next() {
-            diverged.for_each(|other| terminal.note(format_args!("error: {other}")));
+            diverged.for_each(|other| say(format_args!("error: {other}")));
             return Err(first.into());
         }
         Ok(Ended::Finished { set: Box::new(set), summary: Box::new(summary), before })

@@ -128,6 +128,7 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         origins.push((value.key, value.from));
     }
     config.validate()?;
+    config.check_read()?;
     worlds::available(&config).map_err(|error| Usage(error.to_string()))?;
     let origin = |key: &str| match origins.iter().rev().find(|(name, _)| name == key) {
         Some((_, from)) => Origin(from.clone()),

@@ -7,7 +7,7 @@ use super::rows::{Evidence, Judged};
 
 /// One experiment of the paper.
 pub struct Experiment {
-    /// Identifier in the specification.
+    /// Identifier, E1 to E20.
     pub id: &'static str,
     /// Figure, or place in the text.
     pub figure: &'static str,
@@ -73,7 +73,7 @@ pub fn find(name: &str) -> Vec<&'static Experiment> {
     EXPERIMENTS.iter().filter(wanted).collect()
 }
 
-/// Every experiment, in the order of the specification.
+/// Every experiment, E1 first.
 pub static EXPERIMENTS: &[Experiment] = &[
     Experiment {
         id: "E1",

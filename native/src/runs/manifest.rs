@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 use std::{env, thread};
 
+use mcvl_core::config::Simulator;
 use serde::{Deserialize, Serialize};
 use sha2::Digest as _;
 
@@ -14,6 +15,7 @@ use super::chain::{hex, sha256, sha256_of};
 use super::layout::{is_temporary, is_there};
 use super::write::write_atomic;
 use super::{RunDir, RunsError, SeedDir};
+use crate::mujoco;
 
 /// Version of the format.
 const FORMAT: u32 = 1;
@@ -93,6 +95,9 @@ pub struct Manifest {
     pub cpu: String,
     /// Cores that were there.
     pub cores: usize,
+    /// Version of MuJoCo, where it moves the world.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mujoco: Option<String>,
     /// Where forecasts were made besides the processor, in every session so far: adapters, or why not there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub forecasts: Vec<String>,
@@ -128,6 +133,7 @@ impl Manifest {
             vector: mcvl_core::nn::isa::Isa::active().name().to_owned(),
             cpu: cpu(),
             cores: thread::available_parallelism().map_or(1, usize::from),
+            mujoco: None,
             forecasts: Vec::new(),
             started: now(),
             ended: None,
@@ -137,6 +143,12 @@ impl Manifest {
             files: BTreeMap::new(),
             seal: String::new(),
         }
+    }
+
+    /// Notes what moves the world of a run.
+    pub fn moved_by(&mut self, physics: Simulator) {
+        let library = (physics == Simulator::Mujoco).then(mujoco::library);
+        self.mujoco = library.and_then(Result::ok).map(|library| library.version);
     }
 
     /// Notes where forecasts are made, or why not there.

@@ -180,6 +180,14 @@ fn a_run_leaves_what_it_promises() {
     for name in ["run.toml", "manifest.json", "summary.json", "curves.svg", "curves.png"] {
         assert!(run.join(name).is_file(), "{name}");
     }
+    // What made it, as this program says it of itself.
+    let (manifest, doctor) =
+        (json(&fs::read_to_string(run.join("manifest.json")).unwrap()), json(&ok(folder.path(), "doctor --json")));
+    for name in ["version", "commit", "compiler", "target", "vector", "cpu", "cores"] {
+        assert_eq!(manifest[name], doctor[name], "{name}");
+    }
+    assert!(manifest["compiler"].as_str().unwrap().starts_with("rustc ") && manifest["cpu"] != "", "{manifest}");
+    assert_eq!(manifest.get("mujoco"), None, "nothing here is simulated");
     let seed = run.join("seed-0");
     let events: Vec<Value> = lines(&seed.join("metrics.jsonl")).iter().map(|line| json(line)).collect();
     let ends: Vec<&Value> = events.iter().filter(|event| event["kind"] == "end").collect();
@@ -392,7 +400,14 @@ fn json_is_valid_and_stdout_has_nothing_else() {
     // Linked to MuJoCo, of the right version; or how to get it.
     let mujoco = &doctor["mujoco"];
     match mujoco["error"].as_str() {
-        None => assert_eq!(mujoco["version"], "3.17.0"),
+        None => {
+            assert_eq!(mujoco["version"], "3.17.0");
+            // A run that it moves says so.
+            let short = "--set full_steps=300 --set forecast=20 --set rollouts=2 --set hidden=8 --set evaluations=1";
+            ok(folder, &format!("train reacher --quick {short} --agent baseline -q -o arm"));
+            let manifest = json(&fs::read_to_string(folder.join("arm/manifest.json")).unwrap());
+            assert_eq!(manifest["mujoco"], "3.17.0");
+        }
         Some(error) => assert!(error.contains("cargo xtask setup") && error.contains("--features mujoco"), "{error}"),
     }
 }

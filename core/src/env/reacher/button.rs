@@ -31,7 +31,7 @@ pub struct Rule {
 pub const REACH: f64 = UPPER_ARM + FOREARM;
 
 impl Rule {
-    /// This project's button (specification, Reacher 6): every property that the paper states, at a place
+    /// This project's button: every property that the paper states, at a place
     /// which a good reacher crosses when the target is near it, and random torques practically never hold.
     pub const PROPOSAL: Self = Self {
         centre: [-0.09, 0.10],

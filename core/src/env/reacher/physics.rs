@@ -2,7 +2,7 @@
 //!
 //! Both links are driven by motors of 200 N m, damped by 1 N m s/rad, and carry an armature of 1 kg m², beside
 //! which the links themselves hardly count. The elbow has a soft limit at ±3 rad. One step of the world is two
-//! steps of 0.01 s by the classical Runge-Kutta method of fourth order (specification, Reacher 2 and 3).
+//! steps of 0.01 s by the classical Runge-Kutta method of fourth order.
 
 use core::fmt::Debug;
 

@@ -1,4 +1,4 @@
-//! Forecasts that practise in the transition model (specification R27).
+//! Forecasts that practise in the transition model (docs/method.md R27).
 
 use super::*;
 use crate::forecast::{Carry, Practice};

@@ -1,4 +1,4 @@
-//! The schemes that checking is compared with (specification section 2), on Box Moving with short legs.
+//! The schemes that checking is compared with (paper section 5.3), on Box Moving with short legs.
 
 use super::*;
 use crate::check::utility::{Judge, rate};

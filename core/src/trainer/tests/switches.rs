@@ -1,4 +1,4 @@
-//! Settings of the specification's choices (section 6) do what they say.
+//! Settings of the choices in docs/method.md do what they say.
 
 use super::*;
 

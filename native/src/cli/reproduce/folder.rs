@@ -29,6 +29,16 @@ const SCALE: f32 = 2.0;
 /// What to do where a folder holds something other than what is wanted.
 const ADVICE: &str = "give the same --seeds, --quick and --from as before, or choose another folder with -o";
 
+fn other_seeds(place: &Path, seeds: &[u64], plan: &Plan) -> anyhow::Error {
+    let (place, found, wanted) = (place.display(), seeds_words(seeds), seeds_words(&plan.seeds));
+    Usage(format!("{place} is of {found}, not of {wanted}: {ADVICE}")).into()
+}
+
+fn other_setting(place: &Path, plan: &Plan) -> anyhow::Error {
+    let place = place.display();
+    Usage(format!("{place} is of another setting than the one wanted ({}): {ADVICE}", plan.config)).into()
+}
+
 /// «seeds 0 to 9», «seed 3».
 fn seeds_words(seeds: &[u64]) -> String {
     format!("seed{} {}", if seeds.len() == 1 { "" } else { "s" }, seed_list(seeds))
@@ -198,16 +208,37 @@ impl Folder {
             Err(_) if begun || !path.exists() => return Ok(None),
             Err(error) => return Err(error.into()),
         };
-        let (place, plan) = (path.display(), &wanted.plan);
-        let config: Config = found.config.parse().map_err(|error| RunsError::damaged(&path, format!("{error}")))?;
+        let seeds = found.seeds();
+        if seeds.iter().any(|seed| !wanted.plan.seeds.contains(seed)) {
+            return Err(other_seeds(&path, seeds, &wanted.plan));
+        }
+        self.of_cell(wanted, &path, found).map(Some)
+    }
+
+    /// What the folder's record holds of a cell that was not asked for: of the wanted seeds, if it has them all.
+    pub fn beside(&self, wanted: &Wanted) -> anyhow::Result<Option<Record>> {
+        let (path, seeds) = (self.record(wanted.cell), &wanted.plan.seeds);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let found = self.of_cell(wanted, &path, Record::read(&path)?)?;
+        let whole = seeds.iter().all(|seed| found.seeds().contains(seed));
+        match whole.then(|| found.only(seeds)).flatten() {
+            Some(part) if found.seeds().len() > seeds.len() => Ok(Some(part)),
+            // Some of the usual seeds are unfinished, others than those that were asked for are of no use here.
+            _ if found.seeds().iter().all(|seed| seeds.contains(seed)) => Ok(Some(found)),
+            _ => Err(other_seeds(&path, found.seeds(), &wanted.plan)),
+        }
+    }
+
+    /// A record that a place has for a cell, if it is one of that cell.
+    fn of_cell(&self, wanted: &Wanted, path: &Path, found: Record) -> anyhow::Result<Record> {
+        let config: Config = found.config.parse().map_err(|error| RunsError::damaged(path, format!("{error}")))?;
         let has = |learner: Learner| found.arms.iter().any(|leg| leg.arm == Arm::of(learner));
         if !wanted.fits(&config, found.spread.is_some(), &has) {
-            usage!("{place} is of another setting than the one wanted ({}): {ADVICE}", plan.config);
+            return Err(other_setting(path, &wanted.plan));
         }
-        if found.seeds().iter().any(|seed| !plan.seeds.contains(seed)) {
-            usage!("{place} is of {}, not of {}: {ADVICE}", seeds_words(found.seeds()), seeds_words(&plan.seeds));
-        }
-        Ok(Some(Record { cell: wanted.cell.name.to_owned(), ..found }))
+        Ok(Record { cell: wanted.cell.name.to_owned(), ..found })
     }
 
     /// The record of the finished seeds of a cell's run; none before the first one.
@@ -225,14 +256,14 @@ impl Folder {
         elsewhere: &[u64],
         learners: Option<&[Learner]>,
     ) -> anyhow::Result<()> {
-        let (place, plan) = (place.display(), &wanted.plan);
+        let plan = &wanted.plan;
         let enough = plan.seeds.iter().all(|seed| seeds.contains(seed) || elsewhere.contains(seed));
         if !enough || seeds.iter().any(|seed| !plan.seeds.contains(seed)) {
-            usage!("{place} is of {}, not of {}: {ADVICE}", seeds_words(seeds), seeds_words(&plan.seeds));
+            return Err(other_seeds(place, seeds, plan));
         }
         let setting = plan.config.with_seed(seeds.first().copied().unwrap_or(plan.config.seed));
         if config != setting.to_string() || learners.is_some_and(|learners| learners != plan.learners) {
-            usage!("{place} is of another setting than the one wanted ({}): {ADVICE}", plan.config);
+            return Err(other_setting(place, plan));
         }
         Ok(())
     }

@@ -118,7 +118,8 @@ fn complaints(summary: &Summary) -> Vec<String> {
         }
     }
     if !summary.unfinished.is_empty() {
-        items.push(format!("Seed {} is not finished.", seed_list(&summary.unfinished)));
+        let (seeds, are) = if summary.unfinished.len() == 1 { ("Seed", "is") } else { ("Seeds", "are") };
+        items.push(format!("{seeds} {} {are} not finished.", seed_list(&summary.unfinished)));
     }
     items
 }
