@@ -591,6 +591,65 @@ impl Run {
 
     /// A run of a world that is not built in. `name` stands in its snapshots, for [`Run::resume_of`].
     ///
+    /// ```
+    /// use mcvl_core::agent::ddqn::Ddqn;
+    /// use mcvl_core::config::{Config, Preset};
+    /// use mcvl_core::env::{ActionSpec, Discrete, EnvSpec, Environment, EpisodeEnd, ObservationSpec, Step};
+    /// use mcvl_core::rng::Rng;
+    /// use mcvl_core::run::{Budget, Run, Status};
+    /// use mcvl_core::trainer::Trainer;
+    ///
+    /// /// A door that is open or not; to be found open is worth something.
+    /// #[derive(Clone, serde::Serialize, serde::Deserialize)]
+    /// struct Door {
+    ///     open: bool,
+    ///     steps: u32,
+    /// }
+    ///
+    /// static SPEC: EnvSpec = EnvSpec {
+    ///     name: "door",
+    ///     observation: ObservationSpec { width: 1, binary: true },
+    ///     actions: ActionSpec::Discrete(&["wait", "push"]),
+    ///     max_steps: 10,
+    ///     reward_scale: 1.0,
+    ///     deterministic: true,
+    ///     legend: &[],
+    /// };
+    ///
+    /// impl Environment for Door {
+    ///     type Action = Discrete;
+    ///
+    ///     fn spec(&self) -> &EnvSpec {
+    ///         &SPEC
+    ///     }
+    ///
+    ///     fn reset(&mut self, _rng: &mut Rng, observation: &mut [f32]) {
+    ///         (self.open, self.steps, observation[0]) = (false, 0, 0.0);
+    ///     }
+    ///
+    ///     fn step(&mut self, action: &Discrete, _rng: &mut Rng, observation: &mut [f32]) -> Step {
+    ///         self.open ^= action.0 == 1;
+    ///         self.steps += 1;
+    ///         observation[0] = f32::from(u8::from(self.open));
+    ///         let end = (self.steps == SPEC.max_steps).then_some(EpisodeEnd::Truncated);
+    ///         Step { reward: observation[0], performance: observation[0], end }
+    ///     }
+    /// }
+    ///
+    /// let mut config = Config::custom(Preset::Paper);
+    /// for (key, value) in [("safe_steps", "60"), ("full_steps", "20"), ("exploration", "40"), ("hidden", "8")] {
+    ///     config.set(key, value)?;
+    /// }
+    /// let door = Door { open: false, steps: 0 };
+    /// let mut run = Run::of("door", Trainer::gridworld(config, door.clone(), door));
+    /// run.poll(Budget(30), &mut ())?;
+    /// // Somewhere else, some other day.
+    /// let saved = run.snapshot();
+    /// let mut again = Run::resume_of::<Door, Ddqn>("door", &saved)?;
+    /// while again.poll(Budget(1000), &mut ())? != Status::Done {}
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Panics
     /// If `name` has more than 255 bytes.
     pub fn of<E, A>(name: &'static str, trainer: Trainer<E, A>) -> Self
