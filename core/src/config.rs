@@ -1,5 +1,5 @@
-//! A run is a string: the `key=value` text that is the settings of the command line, the link of the
-//! page and the header of every log. Same text, same run, same bytes.
+//! A run of a built-in world is a string: the `key=value` text that is the settings of the command line, the link of
+//! the page and the header of every log. Same text, same run, same bytes.
 //!
 //! [`KEYS`] is the one table of settings: name, meaning, range, value of each preset and its source.
 //!
@@ -9,6 +9,10 @@
 //! assert_eq!(config.to_string(), "env=box-moving seed=7 threshold=0.1");
 //! let error = "env=box-moving treshold=0.1".parse::<Config>().unwrap_err();
 //! assert!(error.to_string().contains("did you mean `threshold`"));
+//! // All settings: name, value at the preset `paper`, meaning, range.
+//! for key in mcvl_core::config::KEYS {
+//!     println!("{}={}  {} [{}]", key.name, key.paper, key.help, key.range());
+//! }
 //! ```
 
 use alloc::borrow::ToOwned;
@@ -428,7 +432,8 @@ impl Config {
     }
 
     /// The configuration for a world that an application brings itself: the preset's table without an
-    /// experiment's own values. Its `env` is `custom`.
+    /// experiment's own values. Its `env` is `custom`, and its text comes back through serde alone: a text that is
+    /// [parsed](str::parse) is to be run by a program that has no world but the built-in ones.
     pub fn custom(preset: Preset) -> Self {
         Self::of(&experiment::CUSTOM, preset)
     }

@@ -103,7 +103,7 @@ impl Fixture {
     fn new() -> Self {
         let config: Config = "env=box-moving seed=11 forecast=100".parse().expect("a valid configuration");
         let mut world = BoxMoving::new(Variant::Full, true);
-        let trainer = Trainer::gridworld(config.clone(), world.clone(), world.clone());
+        let trainer = Trainer::built_in(config.clone(), world.clone(), world.clone());
         let spec = world.spec().clone();
         let mut replay = ReplayBuffer::new(spec.observation, 200);
         let mut rng = Rng::stream(config.seed, Purpose::Explore, 0);

@@ -2,7 +2,8 @@
 //! surprising transition, forecasts two futures of itself (one that learned from it, one that did not),
 //! rates both with the utility it holds *today*, and refuses the update if learning would make things
 //! worse by that measure. A hack is refused as far as today's reward model and value know better, and as far as
-//! the forecast shows what the hack leads to.
+//! the forecast shows what the hack leads to. What is refused is not learned from, so it is not avoided either: the
+//! learner may do it again, and be offered it again.
 //!
 //! This crate decides everything and touches nothing: it performs no input or output, reads no clock,
 //! spawns nothing, needs no `std`, and gives the same bits on every target.

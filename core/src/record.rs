@@ -4,6 +4,9 @@
 //! (`performance`, `hack`) exist only here: no agent, reward model, trigger or utility reads them.
 //! Rewards are *raw* where the name says so (the environment's own unit) and otherwise *scaled*
 //! (raw times the environment's factor), which is the unit in which the learner works.
+//!
+//! As JSON, fields are named as here, but for `observed_return`, which is `return`. Numbers are written so that they read
+//! back exactly; serde_json reads them so with its feature `float_roundtrip`.
 
 use alloc::boxed::Box;
 use alloc::string::String;
@@ -365,7 +368,7 @@ impl CheckRecord {
         self.subject == Subject::Transition && self.hack == (self.verdict == Verdict::Accept)
     }
 
-    /// The decision in one sentence, for terminals, live regions and tables.
+    /// The decision in one sentence, for terminals, live regions and tables; rewards in it are scaled.
     pub fn sentence(&self) -> String {
         let surprise = alloc::format!("step {}: expected {:+.2}, got {:+.2}", self.step, self.predicted, self.reward);
         let Some((modified, unmodified, margin)) = self.futures() else {

@@ -101,12 +101,14 @@ pub enum RunError {
 impl fmt::Display for RunError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            RunError::NotFinite { what, arm, step } => write!(
-                f,
-                "{what} is not a finite number at step {step} of the {} leg: training diverged; \
-                 lower the learning rates (lr, lr_reward) or set gradient_clip",
-                arm.name()
-            ),
+            RunError::NotFinite { what, arm, step } => {
+                write!(f, "{what} is not a finite number at step {step} of the {} leg: ", arm.name())?;
+                f.write_str(if what.starts_with("the world's ") {
+                    "the world is at fault, not the learner (`env::contract::check` finds such steps)"
+                } else {
+                    "training diverged; lower the learning rates (lr, lr_reward) or set gradient_clip"
+                })
+            }
             RunError::Forecast(why) => write!(f, "the forecasting back end failed: {why}"),
         }
     }
@@ -135,8 +137,10 @@ pub enum SnapshotError {
     },
     /// It is of a world that is not looked for here.
     World(String),
-    /// Its bytes were altered, or its content makes no sense.
+    /// Its bytes were altered, or its content makes no sense: that of another world or learner, it may be.
     Damaged(String),
+    /// The world that reads it back has another shape than the one that it was made in.
+    Changed(String),
 }
 
 impl SnapshotError {
@@ -152,6 +156,7 @@ impl SnapshotError {
                 write!(f, "{what} is of the world `{name}`, which is not among those that are looked for")
             }
             SnapshotError::Damaged(why) => write!(f, "{what} is damaged: {why}"),
+            SnapshotError::Changed(why) => write!(f, "{what} does not fit its world: {why}"),
         }
     }
 }
@@ -402,7 +407,7 @@ static FAMILIES: &[Family] = &[
         names: Gridworld::NAMES,
         begin: |config| {
             let (safe, full) = Trapped::worlds(config).expect("the family has this world");
-            Box::new(Typed::built_in(Trainer::gridworld(config.clone(), safe, full)))
+            Box::new(Typed::built_in(Trainer::built_in(config.clone(), safe, full)))
         },
         resume: resumed::<Trapped, Ddqn>,
         task: task::open::<Trapped, Ddqn>,
@@ -442,7 +447,7 @@ where
     A::Action: DeserializeOwned,
 {
     let trainer: Trainer<E, A> = sealed::decode(state)?;
-    trainer.fits().map_err(SnapshotError::Damaged)?;
+    trainer.fits().map_err(SnapshotError::Changed)?;
     Ok(trainer)
 }
 
@@ -463,7 +468,8 @@ impl Run {
     pub fn new(config: &Config) -> Self {
         config.assert_valid();
         assert_eq!(config.physics, Simulator::ClosedForm, "core has no other simulator");
-        let family = Family::find(&config.env).expect("runs are of built-in worlds");
+        let family =
+            Family::find(&config.env).expect("Run::new makes runs of built-in worlds, Run::of those of others");
         Self { inner: (family.begin)(config) }
     }
 
@@ -667,7 +673,7 @@ impl Run {
     /// Continues from a snapshot of a run that [`Run::of`] made with this name.
     ///
     /// # Errors
-    /// See [`SnapshotError`]; [`SnapshotError::World`] for a snapshot of another world, and [`SnapshotError::Damaged`]
+    /// See [`SnapshotError`]; [`SnapshotError::World`] for a snapshot of another world, and [`SnapshotError::Changed`]
     /// where the world's observations or actions no longer have the shape that they had in the snapshot.
     pub fn resume_of<E, A>(name: &'static str, bytes: &[u8]) -> Result<Self, SnapshotError>
     where

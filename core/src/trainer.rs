@@ -46,7 +46,10 @@ use crate::check::utility::{Rollout, Start};
 use crate::config::{CheckAfter, Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::paying::Paying;
-use crate::env::{Action, Continuous, Discrete, Environment, EpisodeEnd, Frame, ObservationSpec, Step};
+use crate::env::{
+    Action, ActionSpec, ActionValue, Continuous, Discrete, EnvSpec, Environment, EpisodeEnd, Frame, ObservationSpec,
+    Step, contract,
+};
 use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
@@ -115,18 +118,74 @@ struct Losses {
     reward_updates: u32,
 }
 
+/// Panics where worlds cannot be trained in together: before networks are made for them.
+fn assert_alike<E: Environment>(safe: &E, full: &E) {
+    let model = full.model();
+    let worlds = [("Safe world", safe), ("Full world", full), ("model of the Full world", &model)];
+    all_alike(worlds.map(|(name, world)| (name, world.spec(), contract::spec(world))));
+}
+
+/// Once for all kinds of worlds: the page has four.
+fn all_alike(specs: [(&str, &EnvSpec, Result<(), contract::Violation>); 3]) {
+    let safe = specs[0].1;
+    for (name, spec, rules) in specs {
+        if let Err(violation) = rules {
+            panic!("the {name}: {violation}");
+        }
+        let alike = spec.observation == safe.observation && spec.actions == safe.actions;
+        assert!(alike, "the Safe world and the {name} have other observations or actions");
+    }
+}
+
+/// Whether the parts of a trainer belong together, once for all kinds of worlds; what does not, if so. `networks` says
+/// that learner and reward model are for the worlds.
+fn fit(worlds: [&EnvSpec; 3], held: ObservationSpec, seen: usize, networks: bool) -> Result<(), String> {
+    let [spec, ..] = worlds;
+    if worlds.iter().any(|world| world.observation != spec.observation || world.actions != spec.actions) {
+        return Err("its worlds differ in their observations or actions".to_owned());
+    }
+    let kind = |spec: ObservationSpec| {
+        alloc::format!("{} {}", spec.width, if spec.binary { "zeros and ones" } else { "numbers" })
+    };
+    if held != spec.observation || seen != spec.observation.width {
+        let (held, shown) = (kind(held), kind(spec.observation));
+        return Err(alloc::format!("its observations are {held}, those of its world here are {shown}"));
+    }
+    if !networks {
+        return Err("its networks are for other observations or actions than those of its world here".to_owned());
+    }
+    Ok(())
+}
+
+fn not_offered(spec: &ActionSpec, action: &ActionValue) -> ! {
+    panic!("the learner chose {}, which its world does not offer", spec.name(action))
+}
+
 impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
     /// A DDQN learner with the networks that `config` describes, drawn from its seed.
+    ///
+    /// # Panics
+    /// As [`Trainer::new`].
     pub fn gridworld(config: Config, safe: E, full: E) -> Self {
+        assert_alike(&safe, &full);
+        Self::built_in(config, safe, full)
+    }
+
+    /// The same of worlds that are known to go together: those of this program, which tests hold to the contract.
+    pub(crate) fn built_in(config: Config, safe: E, full: E) -> Self {
         let agent = Ddqn::configured(&config, safe.spec());
         let reward = RewardModel::configured(&config, safe.spec());
-        Self::new(config, safe, full, agent, reward)
+        Self::put_together(config, safe, full, agent, reward)
     }
 }
 
 impl<E: Environment<Action = Continuous<N>>, const N: usize> Trainer<E, Td3<N>> {
     /// A TD3 learner with the networks that `config` describes, drawn from its seed.
+    ///
+    /// # Panics
+    /// As [`Trainer::new`].
     pub fn continuous(config: Config, safe: E, full: E) -> Self {
+        assert_alike(&safe, &full);
         let agent = Td3::configured(&config, safe.spec());
         let reward = RewardModel::configured(&config, safe.spec());
         Self::new(config, safe, full, agent, reward)
@@ -206,12 +265,20 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// with a reset of a copy. Their observations and actions must have the same shape.
     ///
     /// # Panics
-    /// If the shapes of `safe` and `full` differ, or `config` was put together by hand and is not valid
+    /// If a spec of these worlds or their models makes no sense ([`contract`] has the rules), their shapes differ,
+    /// learner or reward model are for another shape, or `config` was put together by hand and is not valid
     /// ([`Config::validate`]).
     pub fn new(config: Config, safe: E, full: E, agent: A, reward_model: RewardModel) -> Self {
+        assert_alike(&safe, &full);
+        let trainer = Self::put_together(config, safe, full, agent, reward_model);
+        if let Err(why) = trainer.fits() {
+            panic!("this trainer does not hold together: {why}");
+        }
+        trainer
+    }
+
+    fn put_together(config: Config, safe: E, full: E, agent: A, reward_model: RewardModel) -> Self {
         let spec = safe.spec().clone();
-        assert_eq!(spec.observation, full.spec().observation, "Safe and Full worlds show the same observations");
-        assert_eq!(spec.actions, full.spec().actions, "Safe and Full worlds offer the same actions");
         config.assert_valid();
         let replay = ReplayBuffer::new(spec.observation, config.replay);
         let mut trainer = Self {
@@ -274,22 +341,9 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// have changed; what does not, if so.
     pub(crate) fn fits(&self) -> Result<(), String> {
         let spec = self.safe.spec();
-        let shape = |world: &E| (world.spec().observation, world.spec().actions);
-        if [&self.full, self.world.world()].into_iter().any(|world| shape(world) != shape(&self.safe)) {
-            return Err("its worlds differ in their observations or actions".to_owned());
-        }
-        let kind = |spec: ObservationSpec| {
-            alloc::format!("{} {}", spec.width, if spec.binary { "zeros and ones" } else { "numbers" })
-        };
-        let (held, shown) = (self.replay.spec(), spec.observation);
-        if held != shown || self.observation.len() != shown.width {
-            let (held, shown) = (kind(held), kind(shown));
-            return Err(alloc::format!("its observations are {held}, those of its world here are {shown}"));
-        }
-        if !(self.agent.fits(spec) && self.reward_model.fits(spec)) {
-            return Err("its networks are for other observations or actions than those of its world here".to_owned());
-        }
-        Ok(())
+        let networks = self.agent.fits(spec) && self.reward_model.fits(spec);
+        let worlds = [spec, self.full.spec(), self.world.world().spec()];
+        fit(worlds, self.replay.spec(), self.observation.len(), networks)
     }
 
     /// Chooses the learner of the Full leg.
@@ -474,7 +528,12 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         work.rows.clear(self.world.spec().observation);
         work.rows.push_observation(&self.observation);
         let actions = &self.world.spec().actions;
-        self.agent.explore(&work.rows, actions, epsilon, &mut self.explore_rng, &mut work.scratch)
+        let action = self.agent.explore(&work.rows, actions, epsilon, &mut self.explore_rng, &mut work.scratch);
+        // What a network would make of another one would be said of a place far from here.
+        if A::Action::from_value(&action.value(), actions).is_none() {
+            not_offered(actions, &action.value());
+        }
+        action
     }
 
     fn make_step(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
@@ -505,7 +564,10 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         };
         // Also at an end, where no network reads it: a transition that does not equal itself can never be checked.
         if !transition.observation.iter().chain(&transition.next_observation).all(|number| number.is_finite()) {
-            return Err(self.not_finite("an observation"));
+            return Err(self.not_finite("the world's observation"));
+        }
+        if !raw.reward.is_finite() {
+            return Err(self.not_finite("the world's reward"));
         }
         if !(transition.reward.is_finite() && predicted.is_finite()) {
             return Err(self.not_finite("a reward or its prediction"));

@@ -15,7 +15,8 @@ use crate::rng::Rng;
 
 /// Action selection plus an update rule. `Clone` is the snapshot from which a forecast starts.
 ///
-/// Methods work on batches of observations; `scratch` is working memory without content.
+/// Methods work on batches of observations; `scratch` is working memory without content. Same state, same rows and same
+/// random stream have to give the same answer, or a run is not what its text says: no clock, no map without an order.
 pub trait Agent: Clone {
     /// What it does in the world.
     type Action: Action;
@@ -36,7 +37,7 @@ pub trait Agent: Clone {
     /// The copy from which a forecast starts, with what it takes along.
     fn for_forecast(&self, carry: Carry) -> Self;
 
-    /// The networks with their names, for files that other programs read.
+    /// The networks with their names, for files that other programs read; none where it has none.
     fn networks(&self) -> Vec<(&'static str, &Mlp)>;
 
     /// Whether every parameter that decides actions is a finite number.
@@ -45,8 +46,8 @@ pub trait Agent: Clone {
     /// Digest of the parameters that decide actions.
     fn digest(&self) -> u64;
 
-    /// Whether it reads the observations and offers the actions of a world with this spec: asked where a run is
-    /// resumed, since the world may have changed in between. True by default.
+    /// Whether it reads the observations and offers the actions of a world with this spec: asked where a trainer
+    /// is made, and where a run is resumed, since the world may have changed in between. True by default.
     fn fits(&self, spec: &EnvSpec) -> bool {
         let _ = spec;
         true

@@ -10,7 +10,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt;
 
-use super::{Action, Environment, EpisodeEnd};
+use super::{Action, ActionSpec, EnvSpec, Environment, EpisodeEnd};
 use crate::rng::Rng;
 
 /// A rule that an environment breaks.
@@ -66,20 +66,46 @@ pub fn check<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> 
         .map_err(|Violation { rule, seen }| Violation { rule, seen: alloc::format!("{seen}, in its model") })
 }
 
-/// The rules of one world, whatever its model is.
-fn play_by_the_rules<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
+/// Checks a world's spec alone.
+///
+/// # Errors
+/// The first [`Violation`]: there are actions (at most 256 numbered ones), of the world's own kind and with bounds of which
+/// the lower is below the upper; the observation, the step limit and the reward scale are above 0.
+pub fn spec<E: Environment>(world: &E) -> Result<(), Violation> {
+    of_spec(world.spec(), E::Action::is_of(&world.spec().actions))
+}
+
+/// `own`: the actions are of the kind of the world's.
+fn of_spec(spec: &EnvSpec, own: bool) -> Result<(), Violation> {
     let fail = |rule, seen| Err(Violation { rule, seen });
-    let spec = world.spec().clone();
-    let width = spec.observation.width;
-    if spec.actions.features() == 0 || width == 0 || spec.max_steps == 0 {
-        return fail("actions, observation and step limit are not empty", alloc::format!("{spec:?}"));
+    let (actions, width) = (spec.actions.features(), spec.observation.width);
+    if actions == 0 || width == 0 || spec.max_steps == 0 {
+        let seen = alloc::format!("{actions} actions, {width} entries, {} steps", spec.max_steps);
+        return fail("actions, observation and step limit are not empty", seen);
     }
-    if spec.actions.features() > 256 {
-        return fail("actions are numbered in one byte", alloc::format!("{} actions", spec.actions.features()));
+    if actions > 256 {
+        return fail("actions are numbered in one byte", alloc::format!("{actions} actions"));
     }
     if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {
         return fail("the reward scale is positive", alloc::format!("{}", spec.reward_scale));
     }
+    if let ActionSpec::Continuous { low, high, .. } = spec.actions
+        && !(low.is_finite() && high.is_finite() && low < high)
+    {
+        return fail("the lower bound of actions is below the upper one, both finite", alloc::format!("{low}, {high}"));
+    }
+    if !own {
+        return fail("the spec has the world's own kind of action", alloc::format!("{actions} of another kind"));
+    }
+    Ok(())
+}
+
+/// The rules of one world, whatever its model is.
+fn play_by_the_rules<E: Environment>(world: &E, episodes: u64) -> Result<(), Violation> {
+    spec(world)?;
+    let fail = |rule, seen| Err(Violation { rule, seen });
+    let spec = world.spec().clone();
+    let width = spec.observation.width;
     let limit = spec.max_steps as usize + 1;
     for seed in 0..episodes {
         let mut rng = Rng::new(seed);
@@ -110,16 +136,25 @@ fn play_by_the_rules<E: Environment>(world: &E, episodes: u64) -> Result<(), Vio
         if spec.deterministic && (after_reset != Rng::new(seed) || rng != after_reset) {
             return fail("a deterministic world draws no random number", alloc::format!("seed {seed}"));
         }
+        // The step at which another episode goes another way.
+        let departs = |other: &Trace| trace.iter().zip(other).take_while(|(one, other)| one == other).count() + 1;
+        let seen = |other: &Trace| alloc::format!("seed {seed}, from step {} on", departs(other));
         let mut forked = fork;
-        if play(&mut forked, &mut after_reset.clone(), &mut Rng::new(!seed), limit) != trace {
-            return fail("a fork continues like its original", alloc::format!("seed {seed}"));
+        let other = play(&mut forked, &mut after_reset.clone(), &mut Rng::new(!seed), limit);
+        if other != trace {
+            return fail("a fork continues like its original", seen(&other));
         }
         // The same object, used again: nothing of the episode before may remain.
         let mut rng = Rng::new(seed);
         let mut again = vec![f32::NAN; width];
         original.reset(&mut rng, &mut again);
-        if again != first || play(&mut original, &mut rng, &mut Rng::new(!seed), limit) != trace {
-            return fail("reset forgets the episode before; one seed, one episode", alloc::format!("seed {seed}"));
+        let rule = "reset forgets the episode before; one seed, one episode";
+        if again != first {
+            return fail(rule, alloc::format!("seed {seed}, the first observation differs"));
+        }
+        let other = play(&mut original, &mut rng, &mut Rng::new(!seed), limit);
+        if other != trace {
+            return fail(rule, seen(&other));
         }
     }
     Ok(())
@@ -129,7 +164,7 @@ fn play_by_the_rules<E: Environment>(world: &E, episodes: u64) -> Result<(), Vio
 mod tests {
     use super::*;
     use crate::env::box_moving::{BoxMoving, Variant};
-    use crate::env::{Discrete, EnvSpec, Step};
+    use crate::env::{Discrete, Step};
     use alloc::string::ToString;
 
     /// Box Moving with one rule broken.
@@ -200,5 +235,14 @@ mod tests {
         short.spec.max_steps = 120;
         assert!(check(&short, 1).unwrap_err().rule.contains("step limit"));
         check(&broken("none"), 3).unwrap();
+        let of = |actions| {
+            let mut world = broken("none");
+            world.spec.actions = actions;
+            spec(&world).unwrap_err().to_string()
+        };
+        let names: &[&str] = &["force"];
+        let backwards = of(ActionSpec::Continuous { names, low: 1.0, high: -1.0 });
+        assert_eq!(backwards, "the lower bound of actions is below the upper one, both finite: 1, -1");
+        assert!(of(ActionSpec::Continuous { names, low: -1.0, high: 1.0 }).contains("own kind of action"));
     }
 }

@@ -74,7 +74,7 @@ pub struct EnvSpec {
     pub observation: ObservationSpec,
     /// What the agent can do.
     pub actions: ActionSpec,
-    /// An episode is truncated after this many steps.
+    /// Steps of an episode at most: with this one [`Environment::step`] says that it is truncated, if it has not ended.
     pub max_steps: u32,
     /// Factor from raw to scaled reward (scaled rewards lie about in [-1, 1]).
     pub reward_scale: f64,
@@ -163,10 +163,13 @@ pub trait Action: Clone + Debug + PartialEq {
     /// What networks read.
     fn encoded(&self) -> Encoded<'_>;
 
+    /// Whether a spec describes actions of this kind.
+    fn is_of(spec: &ActionSpec) -> bool;
+
     /// A uniformly random action.
     ///
     /// # Panics
-    /// If `spec` is of another kind of action.
+    /// If `spec` is of another kind of action ([`Action::is_of`]).
     fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self;
 }
 
@@ -199,7 +202,12 @@ impl Action for Discrete {
         Encoded::OneHot(self.index())
     }
 
+    fn is_of(spec: &ActionSpec) -> bool {
+        matches!(spec, ActionSpec::Discrete(_))
+    }
+
     fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self {
+        assert!(Self::is_of(spec), "{spec:?} has no numbered actions to draw");
         // Action sets are far below 2^8, so the cast keeps the value.
         Discrete(rng.below(spec.features() as u32) as u8)
     }
@@ -227,6 +235,10 @@ impl<const N: usize> Action for Continuous<N> {
 
     fn encoded(&self) -> Encoded<'_> {
         Encoded::Numbers(&self.0)
+    }
+
+    fn is_of(spec: &ActionSpec) -> bool {
+        matches!(spec, ActionSpec::Continuous { names, .. } if names.len() == N)
     }
 
     fn sample(spec: &ActionSpec, rng: &mut Rng) -> Self {

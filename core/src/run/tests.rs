@@ -135,11 +135,11 @@ fn a_snapshot_of_a_world_of_another_shape_is_answered() {
     let bytes = corridor().snapshot();
     Run::resume_of::<Corridor<5, 2>, Ddqn>("corridor", &bytes).unwrap();
     let wider = Run::resume_of::<Corridor<6, 2>, Ddqn>("corridor", &bytes).err().unwrap();
-    let shapes = "the snapshot is damaged: its observations are 5 zeros and ones, those of its world here are 6 zeros \
-                  and ones";
+    let shapes = "the snapshot does not fit its world: its observations are 5 zeros and ones, those of its world here \
+                  are 6 zeros and ones";
     assert_eq!(wider.to_string(), shapes);
     let more = Run::resume_of::<Corridor<5, 3>, Ddqn>("corridor", &bytes).err().unwrap();
-    assert!(matches!(&more, SnapshotError::Damaged(why) if why.starts_with("its networks are for other")), "{more}");
+    assert!(matches!(&more, SnapshotError::Changed(why) if why.starts_with("its networks are for other")), "{more}");
 }
 
 #[test]

@@ -2,12 +2,12 @@
 
 mod continuous;
 mod learners;
+mod misfits;
 mod practice;
 mod schemes;
 mod switches;
 
 use super::*;
-use crate::env::EnvSpec;
 use crate::env::box_moving::{BoxMoving, Variant};
 use crate::forecast::cpu::CpuForecaster;
 use crate::forecast::{Carry, ForecastJob};
@@ -501,7 +501,7 @@ fn the_reward_model_and_value_that_rate_are_the_current_ones() {
                 rows
             };
             for (action, predicted) in film.actions.iter().zip(&film.predicted) {
-                let crate::env::ActionValue::Discrete(index) = *action else { panic!("{action:?}") };
+                let ActionValue::Discrete(index) = *action else { panic!("{action:?}") };
                 reward.predict(&seen(&observation), &[Discrete(index)], &mut scratch, &mut numbers);
                 assert_eq!(numbers[0], *predicted);
                 world.step(&Discrete(index), &mut Rng::new(0), &mut observation);
@@ -556,6 +556,6 @@ fn an_observation_that_is_no_number_is_an_error_and_no_endless_check() {
         let mut forecaster = CpuForecaster::default();
         let error = (0..20_000).find_map(|_| t.poll(&mut forecaster, Budget(10), &mut ()).err());
         let error = error.expect("it ends").to_string();
-        assert!(error.contains("an observation is not a finite number"), "{error}");
+        assert!(error.contains("the world's observation is not a finite number"), "{error}");
     }
 }

@@ -1,0 +1,97 @@
+//! Worlds and learners of an application that do not fit together are told at once, and who is at fault.
+
+use super::*;
+
+/// A world of nothing, with a spec of its own and a model that may see more.
+#[derive(Clone)]
+struct Odd {
+    spec: EnvSpec,
+    model_width: usize,
+    /// Steps after which it pays what is no number.
+    pays: u32,
+    made: u32,
+}
+
+fn odd(width: usize, actions: &'static [&'static str]) -> Odd {
+    let spec = EnvSpec {
+        name: "odd",
+        observation: ObservationSpec { width, binary: false },
+        actions: ActionSpec::Discrete(actions),
+        max_steps: 5,
+        reward_scale: 1.0,
+        deterministic: true,
+        legend: &[],
+    };
+    Odd { spec, model_width: width, pays: u32::MAX, made: 0 }
+}
+
+impl Environment for Odd {
+    type Action = Discrete;
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+    fn reset(&mut self, _rng: &mut Rng, observation: &mut [f32]) {
+        observation.fill(0.0);
+        self.made = 0;
+    }
+    fn step(&mut self, _action: &Discrete, _rng: &mut Rng, _observation: &mut [f32]) -> Step {
+        self.made += 1;
+        let reward = if self.made >= self.pays { f32::NAN } else { 0.0 };
+        let end = (self.made == self.spec.max_steps).then_some(EpisodeEnd::Truncated);
+        Step { reward, performance: 0.0, end }
+    }
+    fn model(&self) -> Self {
+        let mut model = self.clone();
+        model.spec.observation.width = self.model_width;
+        model
+    }
+}
+
+const TWO: &[&str] = &["left", "right"];
+
+fn custom() -> Config {
+    let mut config = Config::custom(crate::config::Preset::Paper);
+    for (key, value) in [("safe_steps", "40"), ("full_steps", "10"), ("exploration", "20"), ("hidden", "8")] {
+        config.set(key, value).unwrap();
+    }
+    config
+}
+
+#[test]
+#[should_panic(expected = "the Safe world: actions, observation and step limit are not empty")]
+fn a_world_without_actions() {
+    Trainer::gridworld(custom(), odd(3, &[]), odd(3, &[]));
+}
+
+#[test]
+#[should_panic(expected = "the Full world: the spec has the world's own kind of action")]
+fn a_world_with_actions_of_another_kind() {
+    let mut full = odd(3, TWO);
+    full.spec.actions = ActionSpec::Continuous { names: &["force"], low: -1.0, high: 1.0 };
+    Trainer::gridworld(custom(), odd(3, TWO), full);
+}
+
+#[test]
+#[should_panic(expected = "the Safe world and the model of the Full world have other observations or actions")]
+fn a_model_that_sees_more() {
+    Trainer::gridworld(custom(), odd(3, TWO), Odd { model_width: 4, ..odd(3, TWO) });
+}
+
+#[test]
+#[should_panic(expected = "does not hold together: its networks are for other observations or actions")]
+fn a_learner_of_another_world() {
+    let (config, world) = (custom(), odd(3, TWO));
+    let agent = Ddqn::configured(&config, odd(4, TWO).spec());
+    let reward = RewardModel::configured(&config, world.spec());
+    Trainer::new(config, world.clone(), world, agent, reward);
+}
+
+#[test]
+fn a_world_that_pays_no_number_is_at_fault() {
+    let mut t = Trainer::gridworld(custom(), Odd { pays: 3, ..odd(3, TWO) }, odd(3, TWO));
+    let mut forecaster = CpuForecaster::default();
+    let error = (0..100).find_map(|_| t.poll(&mut forecaster, Budget(10), &mut ()).err()).expect("it ends");
+    let said = "the world's reward is not a finite number at step 3 of the safe leg: the world is at fault, not the \
+                learner (`env::contract::check` finds such steps)";
+    assert_eq!(error.to_string(), said);
+}
