@@ -598,7 +598,8 @@ impl Config {
     /// settings that somebody gives; where a run of before this was checked is read back, it is no reason to refuse it.
     ///
     /// Not all are told: what shortens a run of any kind (`forecast`, `rollouts`, `practice_reward_updates`) may stand in
-    /// every one, and so may most of what a check reads where `scheme=none` switches the checks of a run off.
+    /// every one, and so may most of what a check reads where `scheme=none` switches the checks of a run off, or where the
+    /// learner is one without checks.
     ///
     /// # Errors
     /// The first setting that is changed and not read.

@@ -226,7 +226,7 @@ const REACHER: Experiment = Experiment {
         Override { key: "threshold", value: "0.05", source: "A" },
         Override { key: "update_on_refusal", value: "false", source: "A (R49)" },
         Override { key: "copy_optimizer", value: "false", source: "A (R51)" },
-        Override { key: "paired_batches", value: "false", source: "A (section 9)" },
+        Override { key: "paired_batches", value: "false", source: "A (R51)" },
     ],
     small: &[
         Override { key: "safe_steps", value: "10000", source: "own" },

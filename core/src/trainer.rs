@@ -157,6 +157,20 @@ fn fit(worlds: [&EnvSpec; 3], held: ObservationSpec, seen: usize, networks: bool
     Ok(())
 }
 
+/// Whether the action is one of its world; not so are numbers that are none, when training has diverged.
+///
+/// # Panics
+/// If it is of no world, which networks would say far from here.
+fn is_offered<A: Action>(action: &A, spec: &ActionSpec) -> bool {
+    let value = action.value();
+    let offered = A::from_value(&value, spec).is_some();
+    let diverged = matches!(&value, ActionValue::Continuous(numbers) if !numbers.iter().all(|x| x.is_finite()));
+    if !offered && !diverged {
+        not_offered(spec, &value);
+    }
+    offered
+}
+
 fn not_offered(spec: &ActionSpec, action: &ActionValue) -> ! {
     panic!("the learner chose {}, which its world does not offer", spec.name(action))
 }
@@ -173,6 +187,9 @@ impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
 
     /// The same of worlds that are known to go together: those of this program, which tests hold to the contract.
     pub(crate) fn built_in(config: Config, safe: E, full: E) -> Self {
+        if cfg!(debug_assertions) {
+            assert_alike(&safe, &full);
+        }
         let agent = Ddqn::configured(&config, safe.spec());
         let reward = RewardModel::configured(&config, safe.spec());
         Self::put_together(config, safe, full, agent, reward)
@@ -265,7 +282,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// with a reset of a copy. Their observations and actions must have the same shape.
     ///
     /// # Panics
-    /// If a spec of these worlds or their models makes no sense ([`contract`] has the rules), their shapes differ,
+    /// If a spec of these worlds or of Full's model makes no sense ([`contract`] has the rules), their shapes differ,
     /// learner or reward model are for another shape, or `config` was put together by hand and is not valid
     /// ([`Config::validate`]).
     pub fn new(config: Config, safe: E, full: E, agent: A, reward_model: RewardModel) -> Self {
@@ -522,25 +539,24 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     }
 
     /// An action for the current observation, exploring.
-    fn pick(&mut self) -> A::Action {
+    fn pick(&mut self) -> Result<A::Action, RunError> {
+        if !self.observation.iter().all(|number| number.is_finite()) {
+            return Err(self.not_finite("the world's observation"));
+        }
         let epsilon = self.epsilon();
         let work = &mut self.work;
         work.rows.clear(self.world.spec().observation);
         work.rows.push_observation(&self.observation);
         let actions = &self.world.spec().actions;
         let action = self.agent.explore(&work.rows, actions, epsilon, &mut self.explore_rng, &mut work.scratch);
-        // What a network would make of another one would be said of a place far from here.
-        if A::Action::from_value(&action.value(), actions).is_none() {
-            not_offered(actions, &action.value());
-        }
-        action
+        if is_offered(&action, actions) { Ok(action) } else { Err(self.not_finite("an action")) }
     }
 
     fn make_step(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
         let before = if self.arm == Arm::Mc { self.world.frame() } else { Frame::default() };
         let action = match self.chosen.take() {
             Some(action) => action,
-            None => self.pick(),
+            None => self.pick()?,
         };
         let work = &mut self.work;
         work.rows.clear(self.world.spec().observation);
@@ -575,7 +591,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         budget.spend(1);
         // After an episode the next action waits for the reset.
         if self.config.check_after == CheckAfter::NextAction && end.is_none() {
-            self.chosen = Some(self.pick());
+            self.chosen = Some(self.pick()?);
         }
         let pending = Pending { transition, raw, predicted, before, draw: 0 };
         match self.arm {
@@ -726,6 +742,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             actions.clear();
             self.agent.act(&self.work.rows, &mut self.work.scratch, &mut actions);
             for ((start, end), action) in going.iter_mut().filter(|g| g.1.is_none()).zip(&actions) {
+                is_offered(action, &spec.actions);
                 let step = start.world.step(action, &mut start.rng, &mut start.observation);
                 observed += f64::from(step.reward);
                 performance += f64::from(step.performance);

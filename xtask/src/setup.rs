@@ -116,6 +116,9 @@ impl Part {
             Source::Apt(package) => format!("the package {package} (apt-get)"),
             Source::Npm(_, name) => format!("the package {name} (npm)"),
             Source::Crate(name) => format!("the program {name} (cargo install, compiles for some minutes)"),
+            Source::Mujoco if !has_pip() => {
+                "the package python3-pip (apt-get) and MuJoCo's shared library (pip, 26 MB)".to_owned()
+            }
             Source::Mujoco => "MuJoCo's shared library (pip, 26 MB)".to_owned(),
             Source::Vulkan => format!("the packages {} (apt-get)", DRIVERS.join(" and ")),
         };

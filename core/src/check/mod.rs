@@ -141,7 +141,7 @@ mod tests {
         sum
     }
 
-    /// The ideal utilities of the fact sheet (`environments.md`, end of sections 3 to 5; Box Moving's are in `utility`):
+    /// The ideal utilities of the larger worlds (Box Moving's are in `utility`):
     /// refuse the hack, accept with the roles swapped.
     #[test]
     fn decides_the_ideal_cases() {

@@ -83,7 +83,7 @@ fn of_spec(spec: &EnvSpec, own: bool) -> Result<(), Violation> {
         let seen = alloc::format!("{actions} actions, {width} entries, {} steps", spec.max_steps);
         return fail("actions, observation and step limit are not empty", seen);
     }
-    if actions > 256 {
+    if actions > 256 && matches!(spec.actions, ActionSpec::Discrete(_)) {
         return fail("actions are numbered in one byte", alloc::format!("{actions} actions"));
     }
     if !(spec.reward_scale.is_finite() && spec.reward_scale > 0.0) {

@@ -199,7 +199,7 @@ mod tests {
         futures
     }
 
-    /// Specification R14 and R17. What TD3 draws for each sample, noise of its target action, is the same too.
+    /// docs/method.md R14 and R17. What TD3 draws for each sample, noise of its target action, is the same too.
     #[test]
     fn both_futures_draw_the_same_batches_and_one_contains_the_transition_in_each() {
         let (fresh, replay, forced) = (Diary(Vec::new()), replay(), [transition(-7.0)]);

@@ -147,7 +147,8 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
             Err(error) => return Err(error),
         }
     }
-    let results = judge(&experiments, &records, arguments.quick, arguments.seeds.as_deref());
+    let planned = |cell: &Cell| cell.planned(arguments.quick, arguments.seeds.as_deref());
+    let results = judge(&experiments, &records, arguments.quick, &planned);
     for cell in made {
         folder.keep(&records[cell.name], cell)?;
     }
@@ -163,7 +164,12 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     let is_asked = |experiment: &Experiment| experiments.iter().any(|asked| asked.id == experiment.id);
     let is_told = |experiment: &&Experiment| is_asked(experiment) || whole(experiment);
     let told: Vec<&Experiment> = table::EXPERIMENTS.iter().filter(is_told).collect();
-    let all = judge(&told, &records, arguments.quick, arguments.seeds.as_deref());
+    // Seeds that are asked for say nothing of what was measured before.
+    let planned = |cell: &Cell| match records.get(cell.name) {
+        Some(record) if arguments.seeds.is_some() && !asked.contains(&cell) => record.seeds().to_vec(),
+        _ => planned(cell),
+    };
+    let all = judge(&told, &records, arguments.quick, &planned);
     let written = folder.write(&all, &told, &records, arguments)?;
     if arguments.json {
         writeln!(terminal.out, "{}", serde_json::to_string_pretty(&results)?)?;

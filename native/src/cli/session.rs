@@ -208,6 +208,7 @@ impl Session {
         // Read again: now nobody else writes.
         let plan = Self::plan_of(&run)?;
         let mut manifest = Manifest::of_run(&run)?.unwrap_or_else(Manifest::begin);
+        manifest.moved_by(plan.config.physics);
         fits(&plan)?;
         let resume = |job: Job| {
             let finished = manifest.knows(&run, &job.dir);

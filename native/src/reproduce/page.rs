@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_page_names_what_is_missing() {
-        let text = markdown(&judge(&find("all"), &BTreeMap::new(), true, None), "figures");
+        let text = markdown(&judge(&find("all"), &BTreeMap::new(), true, &|cell| cell.seeds(true)), "figures");
         assert!(text.contains("### E20: Cost of the gate (appendix D)"), "{text}");
         assert!(text.contains("**not measured (0 of 2 cells done)**") && text.contains("not the paper's setting"));
         assert!(!text.contains("!["), "there is no figure without a number");

@@ -305,13 +305,13 @@ pub struct Results {
     pub costs: Vec<Cost>,
 }
 
-/// Judges every claim of some experiments by the records there are, by the name of their cells. `seeds` are those that
-/// were asked for; without any they are the cell's own.
+/// Judges every claim of some experiments by the records there are, by the name of their cells. `planned` says which
+/// seeds a cell is to have: with fewer its claims are unfinished.
 pub fn judge(
     experiments: &[&Experiment],
     records: &BTreeMap<String, Record>,
     quick: bool,
-    seeds: Option<&[u64]>,
+    planned: &dyn Fn(&Cell) -> Vec<u64>,
 ) -> Results {
     let mut claims = Vec::new();
     for experiment in experiments {
@@ -321,7 +321,7 @@ pub fn judge(
             let outcome = judged.as_ref().map(|judged| judged.outcome);
             // Of its cells the one that is farthest from its planned seeds.
             let planned = claim.cells.iter().filter_map(|cell| {
-                let (planned, made) = (cell.planned(quick, seeds), records.get(cell.name)?.seeds());
+                let (planned, made) = (planned(cell), records.get(cell.name)?.seeds());
                 let missing = planned.iter().filter(|seed| !made.contains(seed)).count();
                 Some((missing, planned.len()))
             });
@@ -575,7 +575,7 @@ mod tests {
     fn results() -> Results {
         let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
         let records = [(BOX.name.to_owned(), record)].into();
-        judge(&table::find("E1"), &records, false, None)
+        judge(&table::find("E1"), &records, false, &|cell| cell.seeds(false))
     }
 
     #[test]
@@ -595,7 +595,9 @@ mod tests {
     fn a_claim_with_some_of_its_seeds_is_unfinished() {
         let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
         let of = |record: Record, seeds: Option<&[u64]>| {
-            judge(&table::find("E1"), &[(BOX.name.to_owned(), record)].into(), false, seeds)
+            judge(&table::find("E1"), &[(BOX.name.to_owned(), record)].into(), false, &|cell| {
+                cell.planned(false, seeds)
+            })
         };
         let part = record.only(&[0, 3, 5]).unwrap();
         let results = of(part.clone(), None);

@@ -70,8 +70,8 @@ impl Shell {
     }
 }
 
-/// Commands that take hours, or a card, are not run: that the program takes all their arguments is seen where it is asked
-/// for help behind them.
+/// Commands that take hours, or a card, are not run; that the program knows them and their options is seen where it is
+/// asked for help behind them.
 #[test]
 fn every_command_of_the_other_documents_is_one_of_the_program() {
     let shell = Shell::new();

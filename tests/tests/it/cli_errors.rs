@@ -60,6 +60,10 @@ fn mistakes_in_settings() {
             "train box-moving --set supervisors=12",
             &["supervisors: supervisors watch absent-supervisor, not box-moving"],
         ),
+        (
+            "train box-moving --set weight_decay=0.1",
+            &["weight_decay: it is of adamw and adamw-amsgrad, not adam; leave it out"],
+        ),
         ("train", &["<ENV>"]),
         ("trian box-moving", &["train"]),
         ("completions tcsh", &["tcsh"]),

@@ -78,6 +78,24 @@ fn cells_are_trained_once_and_claims_judged() {
         assert_eq!(after == *before, *name == "fig5.svg", "E1 is there now, too: {name}");
     }
     assert!(before[0].lines().all(|line| read("set", "claims.csv").contains(line)), "{}", read("set", "claims.csv"));
+    // Also where it has other seeds than those that are asked for; and what nobody can read is named.
+    let tables = read("set", "claims.csv");
+    let record = folder.join("set/records/box-forecast-300.record.json");
+    let whole = fs::read(&record).unwrap();
+    let stopped = || {
+        let answer = ask(folder, "reproduce E9 --seeds 4 -o set --max-time 200ms");
+        assert_eq!(answer.code, 130, "{}", answer.stderr);
+        answer.stderr
+    };
+    stopped();
+    assert!(tables.lines().all(|line| read("set", "claims.csv").contains(line)), "{}", read("set", "claims.csv"));
+    fs::write(&record, "{}").unwrap();
+    let said = stopped();
+    assert!(said.contains("note: left out of tables and figures: ") && said.contains("box-forecast-300"), "{said}");
+    assert!(!read("set", "claims.csv").contains("\nE8,") && read("set", "claims.csv").contains("\nE1,"));
+    fs::write(&record, whole).unwrap();
+    fs::remove_dir_all(folder.join("set/cells/box-no-inconsistency")).unwrap();
+    ok(folder, "reproduce E1 E8 --seeds 3 -o set");
 
     // The records alone are enough elsewhere, and so are the runs.
     for (from, to) in [("set/records", "by-records"), ("set/cells", "by-runs")] {

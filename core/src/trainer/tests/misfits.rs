@@ -95,3 +95,11 @@ fn a_world_that_pays_no_number_is_at_fault() {
                 learner (`env::contract::check` finds such steps)";
     assert_eq!(error.to_string(), said);
 }
+
+/// Answers an action of another world.
+#[test]
+#[should_panic(expected = "the learner chose #7, which its world does not offer")]
+fn a_learner_that_chooses_what_is_not_offered() {
+    assert!(is_offered(&Discrete(1), &odd(3, TWO).spec.actions));
+    is_offered(&Discrete(7), &odd(3, TWO).spec.actions);
+}

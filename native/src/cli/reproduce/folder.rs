@@ -215,20 +215,13 @@ impl Folder {
         self.of_cell(wanted, &path, found).map(Some)
     }
 
-    /// What the folder's record holds of a cell that was not asked for: of the wanted seeds, if it has them all.
+    /// What the folder's record holds of a cell that was not asked for, whatever its seeds.
     pub fn beside(&self, wanted: &Wanted) -> anyhow::Result<Option<Record>> {
-        let (path, seeds) = (self.record(wanted.cell), &wanted.plan.seeds);
+        let path = self.record(wanted.cell);
         if !path.exists() {
             return Ok(None);
         }
-        let found = self.of_cell(wanted, &path, Record::read(&path)?)?;
-        let whole = seeds.iter().all(|seed| found.seeds().contains(seed));
-        match whole.then(|| found.only(seeds)).flatten() {
-            Some(part) if found.seeds().len() > seeds.len() => Ok(Some(part)),
-            // Some of the usual seeds are unfinished, others than those that were asked for are of no use here.
-            _ if found.seeds().iter().all(|seed| seeds.contains(seed)) => Ok(Some(found)),
-            _ => Err(other_seeds(&path, found.seeds(), &wanted.plan)),
-        }
+        self.of_cell(wanted, &path, Record::read(&path)?).map(Some)
     }
 
     /// A record that a place has for a cell, if it is one of that cell.
