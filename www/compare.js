@@ -8,7 +8,12 @@ let loaded = null;
 /** Title of the entry whose band is drawn; null for none. */
 let chosen = null;
 
-const sets = () => (loaded ??= files.get("bands.json").then((response) => response.json()));
+// It may come the next time.
+const lost = (error) => {
+  loaded = null;
+  throw error;
+};
+const sets = () => (loaded ??= files.get("bands.json").then((response) => response.json()).catch(lost));
 
 /** Titles of the sets whose settings a recording may have. The arm's set was moved by another simulator. */
 const SETS = new Map([

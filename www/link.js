@@ -36,8 +36,9 @@ export const RECORDED = new Map([
 
 /** What the link says, as far as it is sound. */
 let query = asked();
-/** The timer of an address that could not be written yet. */
+/** The timer of an address that could not be written yet, and the one that stands. */
 let late = 0;
+let entered = location.search;
 
 /**
  * The view and the configuration text of the link; `complaint` says what is wrong with the keys of the view;
@@ -81,9 +82,10 @@ export function forget() {
 
 /** Follows a link of the page; without one, the address that the browser went back to. False where nothing is new. */
 export function follow(to) {
-  if (FRAMED) return false;
+  if (FRAMED || (!to && location.search === entered)) return false;
   const before = query;
   query = to && !enter("pushState", to) ? new URLSearchParams(to) : asked();
+  entered = location.search;
   return String(query) !== String(before);
 }
 
@@ -93,16 +95,19 @@ export function write(changes) {
   if (!FRAMED) enter("replaceState", `?${query}`);
 }
 
-/** Puts an address into the history; false where a browser takes no more for a while: the newest link follows later. */
+/** Puts an address into the history; false where a browser takes no more for a while (some throw, some are silent): the
+ * newest link follows later. */
 function enter(how, address) {
   clearTimeout(late);
   try {
     history[how](null, "", address);
-    return true;
   } catch {
-    late = setTimeout(() => enter("replaceState", `?${query}`), 1000);
-    return false;
+    // Seen below.
   }
+  const done = location.search === new URL(address, document.baseURI).search;
+  if (done) entered = location.search;
+  else late = setTimeout(() => enter("replaceState", `?${query}`), 1000);
+  return done;
 }
 
 function change(changes) {

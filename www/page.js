@@ -673,8 +673,8 @@ async function change(settings, before = () => {}) {
   link.write(changes);
   begun = true;
   begin();
-  // A check that is switched off outlasts what else is changed.
-  run.check = mine.check;
+  // A check that is switched off outlasts other changes in its world.
+  if ((settings.env ?? mine.world?.name) === mine.world?.name) run.check = mine.check;
   return true;
 }
 

@@ -1,11 +1,8 @@
 // Keeps the page for visits without a network. With one, the network answers, so that nobody sees an old page. Without
 // one, all files are of one build: the name of another one installs this worker anew.
 
-try {
-  importScripts("pkg/build.js");
-} catch {
-  // A page without a name stays as it is.
-}
+// Without it nothing is kept: the worker from before stays, and the next visit tries again.
+importScripts("pkg/build.js");
 
 const home = new URL("./", location.href).pathname;
 const KEPT = `mcvl ${home} ${self.build}`;

@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 
-use crate::mujoco;
 use crate::page::Page;
 use crate::process::{cargo, command, program, root, run};
+use crate::{mujoco, web};
 
 /// A tape of the page, and the run that it is from.
 struct Recording {
@@ -146,7 +146,9 @@ pub fn record(names: &[String]) -> Result<()> {
         }
         run(&mut export)?;
     }
-    Ok(())
+    // Browsers that kept the page take the new ones.
+    let www = root().join("www");
+    if www.join("pkg").is_dir() { web::name_build(&www) } else { Ok(()) }
 }
 
 /// Longest time that deriving a tape again may take, milliseconds.

@@ -57,7 +57,7 @@ pub fn build() -> Result<()> {
 }
 
 /// Names the build by all that it consists of, so that a browser that kept another one keeps this one.
-fn name_build(www: &Path) -> Result<()> {
+pub fn name_build(www: &Path) -> Result<()> {
     let mut digest = Sha256::new();
     for file in files(www)?.into_iter().filter(|file| !file.ends_with(NAME)) {
         digest.update(fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?);

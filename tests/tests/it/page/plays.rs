@@ -153,9 +153,11 @@ fn a_complaint_is_seen_where_the_visitor_is_and_can_be_closed() {
 fn a_browser_that_takes_no_more_addresses_gets_the_last_one_later() {
     let server = Server::start(None);
     let refuse = "eval:const { replaceState } = history; window.refused = 0; history.replaceState = (...address) => { \
-                  if (refused < 2) { refused += 1; throw new DOMException('too many', 'SecurityError'); } \
+                  if (refused < 2) { refused += 1; if (refused === 1) return; \
+                  throw new DOMException('too many', 'SecurityError'); } \
                   replaceState.apply(history, address); }; \
-                  for (const check of [4, 2]) document.querySelector(`tr[data-check='${check}'] button`).click(); return refused";
+                  for (const check of [4, 2]) document.querySelector(`tr[data-check='${check}'] button`).click(); \
+                  dispatchEvent(new PopStateEvent('popstate')); return refused";
     let commands = [
         at(&server, &format!("?{LINK}")),
         refuse.to_owned(),
