@@ -82,6 +82,10 @@ pub struct Progress {
     pub check: Option<f32>,
 }
 
+/// What is not finite where the world is at fault.
+pub(crate) const WORLD_OBSERVATION: &str = "the world's observation";
+pub(crate) const WORLD_REWARD: &str = "the world's reward";
+
 /// Why a run cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RunError {
@@ -103,7 +107,7 @@ impl fmt::Display for RunError {
         match self {
             RunError::NotFinite { what, arm, step } => {
                 write!(f, "{what} is not a finite number at step {step} of the {} leg: ", arm.name())?;
-                f.write_str(if what.starts_with("the world's ") {
+                f.write_str(if [WORLD_OBSERVATION, WORLD_REWARD].contains(&what.as_str()) {
                     "the world is at fault, not the learner (`env::contract::check` finds such steps)"
                 } else {
                     "training diverged; lower the learning rates (lr, lr_reward) or set gradient_clip"

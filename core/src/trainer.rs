@@ -58,7 +58,7 @@ use crate::record::{
 };
 use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
-use crate::run::{Budget, Progress, RunError, Status};
+use crate::run::{Budget, Progress, RunError, Status, WORLD_OBSERVATION, WORLD_REWARD};
 
 /// Accepted transitions of the episode that the `episode` way of forcing appends.
 const TAIL: usize = 10;
@@ -541,7 +541,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// An action for the current observation, exploring.
     fn pick(&mut self) -> Result<A::Action, RunError> {
         if !self.observation.iter().all(|number| number.is_finite()) {
-            return Err(self.not_finite("the world's observation"));
+            return Err(self.not_finite(WORLD_OBSERVATION));
         }
         let epsilon = self.epsilon();
         let work = &mut self.work;
@@ -579,11 +579,12 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             terminated: end == Some(EpisodeEnd::Terminated),
         };
         // Also at an end, where no network reads it: a transition that does not equal itself can never be checked.
-        if !transition.observation.iter().chain(&transition.next_observation).all(|number| number.is_finite()) {
-            return Err(self.not_finite("the world's observation"));
+        // The one before the step was looked at when its action was chosen.
+        if !transition.next_observation.iter().all(|number| number.is_finite()) {
+            return Err(self.not_finite(WORLD_OBSERVATION));
         }
         if !raw.reward.is_finite() {
-            return Err(self.not_finite("the world's reward"));
+            return Err(self.not_finite(WORLD_REWARD));
         }
         if !(transition.reward.is_finite() && predicted.is_finite()) {
             return Err(self.not_finite("a reward or its prediction"));

@@ -58,18 +58,15 @@ pub fn compare(arguments: &CompareArgs, terminal: &mut Terminal) -> anyhow::Resu
     let summaries: Vec<Summary> = sets.iter().map(Summary::new).collect();
     let mut judged = Vec::new();
     for (set, summary) in sets.iter().zip(&summaries) {
+        // What is claimed of a run is claimed of all its seeds.
+        let whole = summary.unfinished.is_empty();
         for assertion in &arguments.assertions {
             let holds = assertion
                 .evaluate(summary)
                 .map_err(|error| Usage(format!("--assert on {}: {error}", set.path.display())))?;
-            // What is claimed of a run is claimed of all its seeds.
-            judged.push((
-                set.path.display().to_string(),
-                assertion.to_string(),
-                holds && summary.unfinished.is_empty(),
-            ));
+            judged.push((set.path.display().to_string(), assertion.to_string(), holds && whole));
         }
-        if !arguments.assertions.is_empty() && !summary.unfinished.is_empty() {
+        if !arguments.assertions.is_empty() && !whole {
             let (open, planned) = (summary.unfinished.len(), plural(set.planned.len() as u64, "seed"));
             let path = set.path.display();
             terminal.note(format_args!(

@@ -16,6 +16,7 @@ use mcvl::reproduce::table::{self, Experiment, TARGETS};
 use mcvl::reproduce::{QUICK, Record, Verdict, judge};
 use mcvl::runs::{Plan, Remote, check_target, shell_word};
 use mcvl_core::config::{Config, Learner, Simulator, expected_one_of};
+use mcvl_core::record::Arm;
 
 use super::session::{Manner, Pace, stop_on_signals};
 use super::settings;
@@ -276,6 +277,11 @@ impl Wanted {
         bare(&self.plan.config) == bare(config)
             && self.cell.repeats.is_some() == spread
             && (spread || self.cell.learners.iter().all(|learner| has(*learner)))
+    }
+
+    /// The same of a record with this configuration.
+    fn fits_record(&self, record: &Record, config: &Config) -> bool {
+        self.fits(config, record.spread.is_some(), &|learner| record.arm(Arm::of(learner)).is_some())
     }
 }
 

@@ -190,24 +190,29 @@ impl Session {
         Ok(Self { run, plan, manifest, jobs, _lock: lock })
     }
 
-    /// The plan of a run that is to be resumed.
-    pub fn plan_of(run: &RunDir) -> anyhow::Result<Plan> {
+    /// What a run that is to be resumed is about, and its manifest, unless it was killed before it had one.
+    pub fn begun(run: &RunDir) -> anyhow::Result<(Plan, Option<Manifest>)> {
+        let plan = Plan::read(run)?;
+        let manifest = Manifest::of_run(run)?;
+        manifest.iter().try_for_each(|manifest| manifest.check_plan(run))?;
+        Ok((plan, manifest))
+    }
+
+    /// Complains where there is no run to resume.
+    pub fn check_begun(run: &RunDir) -> anyhow::Result<()> {
         if !run.is_begun()? {
             usage!("there is no run in {} to resume: leave --resume out to begin one", run.path().display());
         }
-        let plan = Plan::read(run)?;
-        Manifest::of_run(run)?.iter().try_for_each(|manifest| manifest.check_plan(run))?;
-        Ok(plan)
+        Ok(())
     }
 
     /// Takes up a run where it stopped, if `fits` says that its plan is the wanted one. Everything is
     /// checked before anything is changed.
     pub fn resume(run: RunDir, fits: impl FnOnce(&Plan) -> anyhow::Result<()>) -> anyhow::Result<Self> {
-        Self::plan_of(&run)?;
+        Self::check_begun(&run)?;
         let lock = Lock::take(&run)?;
-        // Read again: now nobody else writes.
-        let plan = Self::plan_of(&run)?;
-        let mut manifest = Manifest::of_run(&run)?.unwrap_or_else(Manifest::begin);
+        let (plan, manifest) = Self::begun(&run)?;
+        let mut manifest = manifest.unwrap_or_else(Manifest::begin);
         manifest.moved_by(plan.config.physics);
         fits(&plan)?;
         let resume = |job: Job| {

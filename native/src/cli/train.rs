@@ -111,7 +111,8 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
         arguments.has_claims(found)
     };
     if arguments.dry_run && arguments.resume {
-        let found = Session::plan_of(&run)?;
+        Session::check_begun(&run)?;
+        let (found, _) = Session::begun(&run)?;
         fits(&found)?;
         return dry_run(arguments, &found, terminal);
     }

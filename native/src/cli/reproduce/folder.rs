@@ -14,14 +14,13 @@ use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::Experiment;
 use mcvl::reproduce::{BEGIN, END, RECORD_SUFFIX, Record, Results, markdown, put};
 use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunsError, State, write_atomic};
-use mcvl_core::config::{Config, Learner};
-use mcvl_core::record::Arm;
+use mcvl_core::config::Learner;
 use serde::{Deserialize, Serialize};
 
 use super::super::session::{Ended, Manner, Session};
 use super::super::terminal::Terminal;
 use super::super::{Usage, usage};
-use super::lent::finished_seeds;
+use super::lent::{finished_seeds, setting};
 use super::{ReproduceArgs, Wanted};
 
 /// Pixels per unit of the PNG figures: sharp on a screen.
@@ -59,37 +58,33 @@ pub(super) struct Standing {
 }
 
 /// Finished seeds of a cell that are not those of its run in the folder of this set.
-#[derive(Default)]
 pub(super) struct Elsewhere {
-    /// What `--from` names.
-    lent: Option<Record>,
+    /// What `--from` names, and whether it was made just now.
+    lent: Option<(Record, bool)>,
     /// What the folder's own record holds: what is finished is never trained again, whatever became of its run.
     kept: Option<Record>,
 }
 
 impl Elsewhere {
+    fn parts(&self) -> impl Iterator<Item = &Record> {
+        self.lent.iter().map(|(lent, _)| lent).chain(&self.kept)
+    }
+
     fn seeds(&self) -> Vec<u64> {
-        [&self.lent, &self.kept].into_iter().flatten().flat_map(|record| record.seeds()).copied().collect()
+        self.parts().flat_map(Record::seeds).copied().collect()
     }
 
     /// All that is finished, with what the run of this set has.
     fn with(&self, own: Option<Record>) -> Option<Record> {
-        [&self.lent, &self.kept].into_iter().fold(own, |own, part| joined(own, part.as_ref()))
+        self.parts().fold(own, |own, part| joined(own, Some(part)))
     }
 }
 
 impl Standing {
-    /// A cell by what is known of it here and elsewhere; each with whether it was made just now.
-    fn new(
-        wanted: &Wanted,
-        own: Option<(Record, bool)>,
-        lent: Option<(Record, bool)>,
-        kept: Option<Record>,
-        begun: bool,
-    ) -> Self {
-        let made = [&own, &lent].into_iter().flatten().any(|(_, made)| *made);
-        let [own, lent] = [own, lent].map(|part| part.map(|(record, _)| record));
-        let elsewhere = Elsewhere { lent, kept };
+    /// A cell by what is known of it in its run, with whether that was made just now, and elsewhere.
+    fn new(wanted: &Wanted, own: Option<(Record, bool)>, elsewhere: Elsewhere, begun: bool) -> Self {
+        let made = [&own, &elsewhere.lent].into_iter().flatten().any(|(_, made)| *made);
+        let own = own.map(|(record, _)| record);
         let missing = |there: Option<&Record>| {
             let there = there.map_or(&[][..], Record::seeds);
             wanted.plan.seeds.iter().copied().filter(|seed| !there.contains(seed)).collect::<Vec<_>>()
@@ -178,26 +173,26 @@ impl Folder {
             // What is not to be continued does not matter here.
             let open = wanted.train && own.is_none() && lent.is_none();
             let begun = if open { self.begun_measurement(wanted)?.is_some() } else { self.begun(cell).exists() };
-            return Ok(Standing::new(wanted, own, lent, None, begun));
+            return Ok(Standing::new(wanted, own, Elsewhere { lent, kept: None }, begun));
         }
         let run = self.run(cell);
         let begun = run.is_begun()?;
-        let kept = self.kept(wanted, begun)?;
-        if !begun {
-            return Ok(Standing::new(wanted, None, lent, kept, false));
-        }
-        let plan = Plan::read(&run)?;
-        let parts = [lent.as_ref().map(|(lent, _)| lent), kept.as_ref()];
-        let elsewhere: Vec<u64> = parts.into_iter().flatten().flat_map(|record| record.seeds()).copied().collect();
-        self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, &elsewhere, Some(&plan.learners))?;
-        let Some(manifest) = Manifest::of_run(&run)? else { return Ok(Standing::new(wanted, None, lent, kept, true)) };
+        let elsewhere = Elsewhere { lent, kept: self.kept(wanted, begun)? };
+        let own = if begun { self.in_run(wanted, &run, &elsewhere)? } else { None };
+        Ok(Standing::new(wanted, own, elsewhere, begun))
+    }
+
+    /// The finished seeds of a cell's run, and whether their record was made just now.
+    fn in_run(&self, wanted: &Wanted, run: &RunDir, elsewhere: &Elsewhere) -> anyhow::Result<Option<(Record, bool)>> {
+        let (plan, seeds) = (Plan::read(run)?, elsewhere.seeds());
+        self.same(wanted, run.path(), &plan.config.to_string(), &plan.seeds, &seeds, Some(&plan.learners))?;
+        let Some(manifest) = Manifest::of_run(run)? else { return Ok(None) };
         // A record of this very state spares reading the run; that of a run that goes on is made again.
         let finished = manifest.state == State::Finished;
-        let own = match &kept {
-            Some(found) if finished && found.is_of(&manifest.seal) => Some((found.clone(), false)),
-            _ => self.own(cell, &manifest)?.map(|record| (record, true)),
-        };
-        Ok(Standing::new(wanted, own, lent, kept, true))
+        match &elsewhere.kept {
+            Some(found) if finished && found.is_of(&manifest.seal) => Ok(Some((found.clone(), false))),
+            _ => Ok(self.own(wanted.cell, &manifest)?.map(|record| (record, true))),
+        }
     }
 
     /// What the folder's record of a cell holds. Where the run is there, one that cannot be read is made again.
@@ -226,9 +221,7 @@ impl Folder {
 
     /// A record that a place has for a cell, if it is one of that cell.
     fn of_cell(&self, wanted: &Wanted, path: &Path, found: Record) -> anyhow::Result<Record> {
-        let config: Config = found.config.parse().map_err(|error| RunsError::damaged(path, format!("{error}")))?;
-        let has = |learner: Learner| found.arms.iter().any(|leg| leg.arm == Arm::of(learner));
-        if !wanted.fits(&config, found.spread.is_some(), &has) {
+        if !wanted.fits_record(&found, &setting(&found, path)?) {
             return Err(other_setting(path, &wanted.plan));
         }
         Ok(Record { cell: wanted.cell.name.to_owned(), ..found })

@@ -9,7 +9,6 @@ use mcvl::reproduce::cells::Cell;
 use mcvl::reproduce::{RECORD_SUFFIX, Record};
 use mcvl::runs::{Manifest, Plan, RunDir, RunSet, RunsError, State};
 use mcvl_core::config::{Config, Learner};
-use mcvl_core::record::Arm;
 
 use super::super::terminal::Terminal;
 use super::super::usage;
@@ -81,9 +80,6 @@ fn lend(
     arguments: &ReproduceArgs,
     terminal: &Terminal,
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
-    let fits = |config: &Config, spread: bool, has: &dyn Fn(Learner) -> bool| {
-        wanted.iter().find(|wanted| wanted.fits(config, spread, has))
-    };
     // Who asks for seeds by name gets no others.
     let asked = |wanted: &Wanted, record: Record| match &arguments.seeds {
         Some(_) if wanted.plan.seeds != record.seeds() => record.only(&wanted.plan.seeds),
@@ -91,15 +87,14 @@ fn lend(
     };
     if !place.is_dir() {
         let record = Record::read(place)?;
-        let config: Config = record.config.parse().map_err(|error| RunsError::damaged(place, format!("{error}")))?;
-        let has = |learner: Learner| record.arms.iter().any(|leg| leg.arm == Arm::of(learner));
-        let wanted = fits(&config, record.spread.is_some(), &has);
+        let config = setting(&record, place)?;
+        let wanted = wanted.iter().find(|wanted| wanted.fits_record(&record, &config));
         return Ok(wanted.and_then(|wanted| Some((wanted.cell, asked(wanted, record)?))));
     }
     let run = RunDir::new(place);
     let plan = Plan::read(&run)?;
     let has = |learner: Learner| plan.learners.contains(&learner);
-    let Some(wanted) = fits(&plan.config, false, &has) else { return Ok(None) };
+    let Some(wanted) = wanted.iter().find(|wanted| wanted.fits(&plan.config, false, &has)) else { return Ok(None) };
     let manifest = Manifest::read_intact(&run)?;
     // Kept summaries without the logs of their seeds have nothing to read; their records speak for them.
     if manifest.state == State::Finished && !plan.seeds.iter().all(|seed| run.seed(*seed).metrics().exists()) {
@@ -113,6 +108,11 @@ fn lend(
         terminal.note(format_args!("note: {} is not finished: {seeds} used", place.display()));
     }
     Ok(record.and_then(|record| Some((wanted.cell, asked(wanted, record)?))))
+}
+
+/// The configuration of a record that lies in a place.
+pub(super) fn setting(record: &Record, place: &Path) -> anyhow::Result<Config> {
+    Ok(record.config.parse().map_err(|error| RunsError::damaged(place, format!("{error}")))?)
 }
 
 /// The record of the finished seeds of a run; none before the first one.
