@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::figures::DRAWINGS;
-use super::rows::{QUICK, Results, Row};
+use super::rows::{QUICK, Results, Row, tally};
 use super::table::{EXPERIMENTS, Experiment};
 use crate::report::claims::{percent, plural};
 
@@ -29,6 +29,7 @@ pub fn markdown(results: &Results, figures: &str) -> String {
         "contains 0; other claims, those about E6's baselines among them, compare the means themselves. Hacked: at the ",
     );
     text.push_str("end the return is above the performance, by more than 1 (in Reacher 3). E15 has one seed; its intervals are over its checks.\n");
+    glance(&mut text, results);
     let mut target = "";
     for experiment in EXPERIMENTS {
         let rows: Vec<&Row> = results.claims.iter().filter(|row| row.experiment == experiment.id).collect();
@@ -56,8 +57,42 @@ fn heading(text: &mut String, target: &str, figures: &str, results: &Results) {
     }
 }
 
+/// One line for each experiment, with a link to its rows.
+fn glance(text: &mut String, results: &Results) {
+    text.push_str(
+        "\n## At a glance\n\n| experiment | at the paper's settings | at settings of ours |\n|---|---|---|\n",
+    );
+    for experiment in EXPERIMENTS {
+        let outcome = |ours: bool| {
+            let own = results.claims.iter().filter(|row| row.experiment == experiment.id && row.ours == ours);
+            match own.collect::<Vec<_>>()[..] {
+                [] => "–".to_owned(),
+                [row] => row.outcome_words(),
+                ref rows => tally(rows, ""),
+            }
+        };
+        let (paper, ours) = (outcome(false), outcome(true));
+        if (paper.as_str(), ours.as_str()) == ("–", "–") {
+            continue;
+        }
+        let title = title(experiment);
+        let _ = writeln!(text, "| [{title}](#{}) | {} | {} |", slug(&title), cell(&paper), cell(&ours));
+    }
+}
+
+/// Heading of an experiment's rows.
+fn title(experiment: &Experiment) -> String {
+    format!("{}: {} ({})", experiment.id, experiment.title, experiment.figure)
+}
+
+/// The name under which a heading can be linked to, as GitHub makes it: small letters, digits and hyphens.
+fn slug(heading: &str) -> String {
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.flat_map(char::to_lowercase).map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
 fn section(text: &mut String, experiment: &Experiment, rows: &[&Row]) {
-    let _ = writeln!(text, "\n### {}: {} ({})\n", experiment.id, experiment.title, experiment.figure);
+    let _ = writeln!(text, "\n### {}\n", title(experiment));
     let _ = writeln!(text, "The paper: {}.\n", experiment.paper);
     text.push_str("| to be seen | measured | |\n|---|---|---|\n");
     for row in rows {
@@ -159,6 +194,9 @@ mod tests {
     fn the_page_names_what_is_missing() {
         let text = markdown(&judge(&find("all"), &BTreeMap::new(), true, &|cell| cell.seeds(true)), "figures");
         assert!(text.contains("### E20: Cost of the gate (appendix D)"), "{text}");
+        assert!(
+            text.contains("| [E20: Cost of the gate (appendix D)](#e20-cost-of-the-gate-appendix-d) | not measured")
+        );
         assert!(text.contains("**not measured (0 of 2 cells done)**") && text.contains("not the paper's setting"));
         assert!(!text.contains("!["), "there is no figure without a number");
         assert!(text.lines().filter(|line| line.starts_with('|')).all(|line| line.ends_with('|')));

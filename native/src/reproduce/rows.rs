@@ -412,27 +412,13 @@ impl Results {
     /// «28 of 40 claims hold, 5 do not, 7 are not measured. At the paper's settings 20 of 30 hold, ...» The second
     /// sentence stands where some claims are of this project's settings.
     pub fn headline(&self) -> String {
-        let of = |rows: &[&Row], noun: &str| {
-            let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
-            let mut text = format!("{} of {}{noun} hold", count(Verdict::Holds), rows.len());
-            for outcome in [Verdict::DoesNotHold, Verdict::Undecided, Verdict::Unfinished, Verdict::NotMeasured] {
-                match (count(outcome), outcome) {
-                    (0, _) => {}
-                    (1, Verdict::DoesNotHold) => text += ", 1 does not",
-                    (count, Verdict::DoesNotHold) => text += &format!(", {count} do not"),
-                    (1, outcome) => text += &format!(", 1 is {}", outcome.words()),
-                    (count, outcome) => text += &format!(", {count} are {}", outcome.words()),
-                }
-            }
-            text + "."
-        };
         let all: Vec<&Row> = self.claims.iter().collect();
         let paper: Vec<&Row> = self.claims.iter().filter(|row| !row.ours).collect();
-        let text = of(&all, if all.len() == 1 { " claim" } else { " claims" });
+        let text = tally(&all, if all.len() == 1 { " claim" } else { " claims" });
         match paper.len() {
-            0 => format!("{text} None is of the paper's settings."),
-            count if count == all.len() => text,
-            _ => format!("{text} At the paper's settings {}", of(&paper, "")),
+            0 => format!("{text}. None is of the paper's settings."),
+            count if count == all.len() => text + ".",
+            _ => format!("{text}. At the paper's settings {}.", tally(&paper, "")),
         }
     }
 
@@ -548,6 +534,22 @@ impl Results {
         }
         text
     }
+}
+
+/// How claims came out, counted: «3 of 5 claims hold, 1 does not, 1 is undecided».
+pub fn tally(rows: &[&Row], noun: &str) -> String {
+    let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
+    let mut text = format!("{} of {}{noun} hold", count(Verdict::Holds), rows.len());
+    for outcome in [Verdict::DoesNotHold, Verdict::Undecided, Verdict::Unfinished, Verdict::NotMeasured] {
+        match (count(outcome), outcome) {
+            (0, _) => {}
+            (1, Verdict::DoesNotHold) => text += ", 1 does not",
+            (count, Verdict::DoesNotHold) => text += &format!(", {count} do not"),
+            (1, outcome) => text += &format!(", 1 is {}", outcome.words()),
+            (count, outcome) => text += &format!(", {count} are {}", outcome.words()),
+        }
+    }
+    text
 }
 
 /// Ending of the names of cells whose reward model stays alive.

@@ -1,11 +1,13 @@
 //! Every command that the README shows runs, in the order in which it shows them, and the program takes every one that
-//! another document shows.
+//! another document shows; every link from one document to another leads somewhere.
 
 use std::env;
 use std::fs;
 use std::process::{Command, Stdio};
 
+use mcvl_tests::source::files;
 use mcvl_tests::{mcvl, root, scratch};
+use pulldown_cmark::{Event, Parser, Tag, TagEnd};
 use tempfile::TempDir;
 
 use crate::cli::Answer;
@@ -93,4 +95,54 @@ fn every_command_of_the_other_documents_is_one_of_the_program() {
 fn commands_are_found_in_shell_blocks_only() {
     let text = "mcvl no\n```console\n$ mcvl envs\noutput\n```\n```rust\nmcvl no\n```\n```sh\ncargo run --release -- doctor\n# mcvl no\n```\n";
     assert_eq!(commands(text), ["mcvl envs", "mcvl doctor"]);
+}
+
+/// Links of a document, and the names under which its headings can be linked to, as GitHub makes them: small letters,
+/// digits and hyphens.
+fn links_and_headings(text: &str) -> (Vec<String>, Vec<String>) {
+    let (mut links, mut headings, mut heading) = (Vec::new(), Vec::new(), None::<String>);
+    for event in Parser::new(text) {
+        match (event, &mut heading) {
+            (Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }), _) => {
+                links.push(dest_url.into_string())
+            }
+            (Event::Start(Tag::Heading { .. }), _) => heading = Some(String::new()),
+            (Event::Text(part) | Event::Code(part), Some(heading)) => heading.push_str(&part),
+            (Event::End(TagEnd::Heading(_)), _) => {
+                let text = heading.take().unwrap_or_default().to_lowercase().replace(' ', "-");
+                headings.push(text.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect());
+            }
+            _ => {}
+        }
+    }
+    (links, headings)
+}
+
+#[test]
+fn every_link_between_documents_leads_somewhere() {
+    let mut count = 0;
+    for file in files().iter().filter(|file| file.is(&["md"])) {
+        let path = root().join(&file.path);
+        let (links, own) = links_and_headings(&file.text);
+        for link in links.iter().filter(|link| !link.contains("://")) {
+            let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = path.parent().expect("a file lies in a folder").join(target);
+            assert!(target.exists(), "{}: nothing lies at {link}", file.path);
+            let known = match link.starts_with('#') {
+                true => own.iter().any(|name| name == anchor),
+                false if anchor.is_empty() => true,
+                false => links_and_headings(&fs::read_to_string(&target).unwrap()).1.iter().any(|name| name == anchor),
+            };
+            assert!(known, "{}: no heading is called {link}", file.path);
+            count += 1;
+        }
+    }
+    assert!(count > 60, "{count}");
+}
+
+#[test]
+fn headings_are_named_as_github_names_them() {
+    let (links, headings) =
+        links_and_headings("# A `b`: c (d 5.3)\n[x](y.md#z) ![p](q.png)\n\n```text\n# [n](o)\n```\n");
+    assert_eq!((links, headings), (vec!["y.md#z".to_owned(), "q.png".to_owned()], vec!["a-b-c-d-53".to_owned()]));
 }
