@@ -409,15 +409,17 @@ pub fn interval(value: &Estimate) -> String {
 }
 
 fn verdict_lines(verdicts: &Verdicts) -> String {
+    let unchecked = verdicts.hacks_unchecked.map(|count| format!("; {} never checked", plural(count, "hack")));
     let counts = format!(
-        "{} ({} of steps), {}, {}, {}; precision {}, recall {}",
+        "{} ({} of steps), {}, {}, {}; precision {}, recall {}{}",
         plural(verdicts.checks, "check"),
         percent(verdicts.rate()),
         plural(verdicts.refusals, "refusal"),
         plural(verdicts.ties, "tie"),
         plural(verdicts.cost, "forecast update"),
         percent(verdicts.precision()),
-        percent(verdicts.recall())
+        percent(verdicts.recall()),
+        unchecked.unwrap_or_default()
     );
     let wrong = format!(
         "{}: {} accepted, {} refused",

@@ -73,6 +73,7 @@ pub fn seed(seed: u64, outcome: Outcome) -> SeedRun {
         learner: Vec::new(),
         episodes: Vec::new(),
         checks: decisions(outcome),
+        unchecked_hacks: Some(if outcome == Outcome::Missed { 7 } else { 0 }),
         ends: arms.map(|arm| EndRecord { arm, steps: STEPS, updates: 1900, digest: "00ff".into() }).into(),
         complete: true,
     }

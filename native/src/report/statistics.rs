@@ -159,6 +159,10 @@ pub struct Verdicts {
     pub ties: u64,
     /// Ties in which a hack was offered (a tie accepts, so these are hacks learned).
     pub hacks_tied: u64,
+    /// Hacks that were learned without a check, since the reward did not surprise; none where that is not known, or
+    /// where updates are checked in place of transitions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hacks_unchecked: Option<u64>,
     /// Checks that reused the unmodified future of the check before.
     pub reused: u64,
     /// Gradient updates spent in forecasts.
@@ -192,7 +196,9 @@ impl Verdicts {
     pub fn of_seed(seed: &SeedRun) -> Option<Self> {
         let made = seed.ends.iter().find(|end| end.arm == Arm::Mc).map(|end| end.steps);
         let steps = made.or_else(|| evaluations(seed, Arm::Mc).map(|point| point.step).max())?;
-        Some(Self::count(seed.checks.iter().filter(|check| check.arm == Arm::Mc), u64::from(steps)))
+        let counts = Self::count(seed.checks.iter().filter(|check| check.arm == Arm::Mc), u64::from(steps));
+        let updates = seed.checks.iter().any(|check| check.subject == Subject::Update);
+        Some(Self { hacks_unchecked: seed.unchecked_hacks.filter(|_| !updates), ..counts })
     }
 
     /// Both together.
@@ -206,6 +212,7 @@ impl Verdicts {
             honest_refused: self.honest_refused + other.honest_refused,
             ties: self.ties + other.ties,
             hacks_tied: self.hacks_tied + other.hacks_tied,
+            hacks_unchecked: self.hacks_unchecked.zip(other.hacks_unchecked).map(|(mine, theirs)| mine + theirs),
             reused: self.reused + other.reused,
             cost: self.cost + other.cost,
         }
@@ -224,6 +231,12 @@ impl Verdicts {
     /// Share of the checked hacks that were refused; `None` where no hack was checked.
     pub fn recall(&self) -> Option<f64> {
         ratio(self.hacks_refused, self.hacks_refused + self.hacks_accepted)
+    }
+
+    /// Share of the hacks that were never checked; `None` without hacks, or where it is not known.
+    pub fn unchecked(&self) -> Option<f64> {
+        let unchecked = self.hacks_unchecked?;
+        ratio(unchecked, unchecked + self.hacks_refused + self.hacks_accepted)
     }
 
     /// Checks per environment step; `None` without steps.
@@ -348,6 +361,10 @@ mod tests {
         assert_eq!((found.precision(), found.recall(), found.rate()), (Some(2.0 / 3.0), Some(2.0 / 3.0), Some(0.1)));
         assert_eq!(found.cost, 5 * checks[0].cost);
         assert_eq!(found.plus(found).checks, 10);
+        assert_eq!((found.unchecked(), found.plus(found).hacks_unchecked), (None, None));
+        let known = Verdicts { hacks_unchecked: Some(1), ..found };
+        assert_eq!((known.unchecked(), known.plus(known).hacks_unchecked), (Some(0.25), Some(2)));
+        assert_eq!(known.plus(found).hacks_unchecked, None, "of one of them it is not known");
         // An update that is taken back is no refused hack.
         checks.iter_mut().for_each(|check| check.subject = Subject::Update);
         let found = Verdicts::count(&checks, 50);

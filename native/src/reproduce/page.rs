@@ -112,15 +112,16 @@ fn worlds(text: &mut String, results: &Results) {
     }
     text.push_str("\n## The gate in each world\n\n");
     text.push_str(
-        "| world | seeds | checks | per step | refusals | precision | recall (mean of seeds) | ties (of them hacks) | dead units: Safe, \
-         end | updates, gated to ungated |\n|---|---|---|---|---|---|---|---|---|---|\n",
+        "| world | seeds | checks | per step | refusals | precision | recall (mean of seeds) | hacks never \
+         checked | ties (of them hacks) | dead units: Safe, end | updates, gated to ungated |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in &results.worlds {
         let v = &row.verdicts;
         let dead = row.dead_units.map(percent);
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} | {} | {} | {} ({}) | {} ({}) | {}, {} | {} |",
+            "| {} | {} | {} | {} | {} | {} | {} ({}) | {} | {} ({}) | {}, {} | {} |",
             row.world,
             row.seeds,
             v.checks,
@@ -129,6 +130,7 @@ fn worlds(text: &mut String, results: &Results) {
             percent(row.precision),
             percent(row.recall),
             percent(row.recall_of_seeds),
+            v.hacks_unchecked.map_or("–".to_owned(), |count| count.to_string()),
             v.ties,
             v.hacks_tied,
             dead[0],
@@ -137,8 +139,9 @@ fn worlds(text: &mut String, results: &Results) {
         );
     }
     text.push_str(
-        "\nPrecision: share of the refusals that were hacks; recall: share of the checked hacks that were refused; dead \
-         units: share of the reward model's first-layer units that no sampled transition activates.\n",
+        "\nPrecision: share of the refusals that were hacks; recall: share of the checked hacks that were refused; \
+         hacks never checked, since their reward did not surprise, are in neither (–: not recorded); dead units: \
+         share of the reward model's first-layer units that no sampled transition activates.\n",
     );
 }
 

@@ -539,7 +539,8 @@ impl Results {
 /// How claims came out, counted: «3 of 5 claims hold, 1 does not, 1 is undecided».
 pub fn tally(rows: &[&Row], noun: &str) -> String {
     let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
-    let mut text = format!("{} of {}{noun} hold", count(Verdict::Holds), rows.len());
+    let hold = if rows.len() == 1 { "holds" } else { "hold" };
+    let mut text = format!("{} of {}{noun} {hold}", count(Verdict::Holds), rows.len());
     for outcome in [Verdict::DoesNotHold, Verdict::Undecided, Verdict::Unfinished, Verdict::NotMeasured] {
         match (count(outcome), outcome) {
             (0, _) => {}

@@ -64,6 +64,8 @@ pub struct SeedRun {
     pub episodes: Vec<EpisodeRecord>,
     /// Decisions of the checks, without films.
     pub checks: Vec<CheckRecord>,
+    /// Hacks of the checked learner that were learned without a check; none where no `steps.csv` tells.
+    pub unchecked_hacks: Option<u64>,
     /// Finished legs.
     pub ends: Vec<EndRecord>,
     /// True if every planned leg is finished.

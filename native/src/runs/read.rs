@@ -5,7 +5,7 @@ use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 
 use mcvl_core::config::Learner;
-use mcvl_core::record::{CheckRecord, Event};
+use mcvl_core::record::{Arm, CheckRecord, Event};
 
 use super::chain::{Chain, LedgerLine, sha256};
 use super::checkpoint::LogMarks;
@@ -40,6 +40,7 @@ impl SeedRun {
             learner: Vec::new(),
             episodes: Vec::new(),
             checks: Vec::new(),
+            unchecked_hacks: unchecked_hacks(&dir.steps()),
             ends: Vec::new(),
             complete: false,
         };
@@ -64,6 +65,25 @@ impl SeedRun {
         }
         Ok(seed)
     }
+}
+
+/// Steps of the checked learner in a `steps.csv` that were hacks and were not checked; none where the file is not there
+/// (kept summaries may lack it) or is no such table.
+fn unchecked_hacks(path: &Path) -> Option<u64> {
+    let lines = lines(path).ok()?;
+    let (columns, rows) = lines.split_first()?;
+    let column = |name: &str| columns.split(',').position(|column| column == name);
+    let [arm, paid, worth, checked] = ["arm", "reward_raw", "performance", "checked"].map(column);
+    let (arm, paid, worth, checked) = (arm?, paid?, worth?, checked?);
+    let mut count = 0;
+    for row in rows {
+        let cells: Vec<&str> = row.split(',').collect();
+        let number = |column: usize| cells.get(column)?.parse::<f32>().ok();
+        if *cells.get(arm)? == Arm::Mc.name() {
+            count += u64::from(number(paid)? != number(worth)? && *cells.get(checked)? == "false");
+        }
+    }
+    Some(count)
 }
 
 /// Complete lines of a log. A last line without its end is one that is being written, or was when the
@@ -164,4 +184,36 @@ pub fn check_chain(plan: &Plan, dir: &SeedDir, lines: &[LedgerLine]) -> Result<u
 pub fn check_tapes(dir: &SeedDir, marks: &LogMarks) -> Result<(), RunsError> {
     let lines = ledger_until(dir, marks.ledger.bytes)?;
     (1..=marks.checks).zip(lines).try_for_each(|(number, line)| check_tape(dir, number, &line))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::write::STEP_COLUMNS;
+    use super::*;
+
+    #[test]
+    fn hacks_without_a_check_are_counted_in_the_checked_leg() {
+        let folder = mcvl_tests::scratch();
+        let path = folder.path().join("steps.csv");
+        let rows = [
+            "baseline,1,2,3,-1,0.6,0.5,false,true,",
+            "mc,1,2,3,-1,0.6,0.5,false,true,",
+            "mc,2,2,3,-1,0.6,0.1,true,true,",
+            "mc,3,2,3,3,0.6,0.5,false,true,",
+            "mc,4,2,3,-1,0.6,0.6,false,true,truncated",
+        ];
+        let of = |text: &str| {
+            fs::write(&path, text).unwrap();
+            unchecked_hacks(&path)
+        };
+        let table = format!("{STEP_COLUMNS}\n{}\n", rows.join("\n"));
+        assert_eq!(of(&table), Some(2));
+        assert_eq!(of(&format!("{table}mc,5,2,3,-1,0.")), Some(2), "a row that is being written is none yet");
+        assert_eq!(of(&format!("{STEP_COLUMNS}\n")), Some(0));
+        for wrong in ["", "a,b\n1,2\n", &format!("{table}mc,5,2\n"), &table.replace("-1", "x")] {
+            assert_eq!(of(wrong), None, "{wrong}");
+        }
+        fs::remove_file(&path).unwrap();
+        assert_eq!(unchecked_hacks(&path), None);
+    }
 }

@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use super::checkpoint::Checkpoint;
+use super::layout::is_there;
 use super::manifest::Manifest;
 use super::read;
 use super::write::check_mark;
@@ -74,6 +75,10 @@ impl Reader {
     pub fn seed(&self, dir: &SeedDir) -> Result<SeedRun, RunsError> {
         self.ledger(dir)?;
         self.check(dir, dir.metrics())?;
+        // Only a count is read of the steps; without them it is not known.
+        if is_there(&dir.steps())? {
+            self.check(dir, dir.steps())?;
+        }
         SeedRun::read(dir, &self.plan)
     }
 
@@ -112,7 +117,11 @@ impl Reader {
         let Some(expected) = self.manifest.as_ref().and_then(|manifest| manifest.digest(self.run(), &path)) else {
             let marks = Checkpoint::marks(&dir.state());
             return marks.map_or(Ok(()), |marks| {
-                let mark = if path == dir.ledger() { marks.ledger } else { marks.metrics };
+                let mark = match &path {
+                    path if *path == dir.ledger() => marks.ledger,
+                    path if *path == dir.steps() => marks.steps,
+                    _ => marks.metrics,
+                };
                 check_mark(&path, &mark).map(drop)
             });
         };

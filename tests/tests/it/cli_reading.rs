@@ -57,6 +57,15 @@ fn no_reader_shows_a_finished_run_that_was_altered() {
         }
         fs::write(&path, whole).unwrap();
     }
+    // Of the steps hacks are counted that were never checked.
+    let steps = folder.join("run/seed-0/steps.csv");
+    assert!(ok(folder, "compare run").contains("never checked"));
+    let whole = fs::read(&steps).unwrap();
+    Damage::Replace(",true,", ",false,").apply(&steps);
+    check(folder, "compare run", 3, &["seed-0/steps.csv", "altered"]);
+    fs::remove_file(&steps).unwrap();
+    assert!(!ok(folder, "compare run").contains("never checked"), "without them it is not known");
+    fs::write(&steps, whole).unwrap();
     // A ledger that does not reach to the check is no reason to look for it elsewhere.
     let ledger = folder.join("run/seed-0/ledger.jsonl");
     fs::write(&ledger, "").unwrap();
@@ -125,6 +134,9 @@ fn no_reader_shows_an_unfinished_run_that_was_altered() {
     let metrics = folder.join("run/seed-0/metrics.jsonl");
     Damage::Replace("\"return\":", "\"return\":1").apply(&metrics);
     check(folder, "compare run", 3, &["seed-0/metrics.jsonl", "was altered since the checkpoint was written"]);
+    Damage::Replace("\"return\":1", "\"return\":").apply(&metrics);
+    Damage::Replace(",true,", ",false,").apply(&folder.join("run/seed-0/steps.csv"));
+    check(folder, "compare run", 3, &["seed-0/steps.csv", "was altered since the checkpoint was written"]);
 }
 
 #[test]

@@ -99,6 +99,11 @@ pub static METRICS: &[Metric] = &[
         help: "share of checked hacks that were refused, 0 to 1",
         source: Source::Rate(Verdicts::recall),
     },
+    Metric {
+        name: "unchecked",
+        help: "share of hacks that were never checked, 0 to 1",
+        source: Source::Rate(Verdicts::unchecked),
+    },
     Metric { name: "rate", help: "checks per environment step, 0 to 1", source: Source::Rate(Verdicts::rate) },
 ];
 

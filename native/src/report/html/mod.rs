@@ -229,9 +229,10 @@ fn seed_tag(end: &SeedEnd) -> String {
 
 fn decisions(summary: &Summary) -> String {
     let Some(verdicts) = &summary.verdicts else { return String::new() };
+    let unchecked = verdicts.hacks_unchecked.map(|count| format!("; {} it never checked", plural(count, "hack")));
     format!(
         "<p>The modification-considering learner made {} ({} of its steps), refused {}, and spent {} on forecasts. \
-         Of its refusals {} were hacks (precision); of the hacks it checked it refused {} (recall). \
+         Of its refusals {} were hacks (precision); of the hacks it checked it refused {} (recall){}. \
          {} rated both futures exactly equal, which accepts.</p>\n",
         plural(verdicts.checks, "check"),
         percent(verdicts.rate()),
@@ -239,6 +240,7 @@ fn decisions(summary: &Summary) -> String {
         plural(verdicts.cost, "gradient update"),
         percent(verdicts.precision()),
         percent(verdicts.recall()),
+        unchecked.unwrap_or_default(),
         plural(verdicts.ties, "check"),
     )
 }
