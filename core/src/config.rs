@@ -206,7 +206,7 @@ names! {
     FinalValue {
         /// Live value of the last state and the forecast policy's action there (paper, equation 2).
         Live = "live",
-        /// Maximum over actions of the live target network.
+        /// Maximum over actions of the live target network (TD3: its value at the target actor's action).
         TargetMax = "target-max",
     }
 }
@@ -361,15 +361,15 @@ keys! {
     replay: u32 = "10000", "Capacity of the replay buffer, transitions; the oldest leaves first.", "P table 1", |v| (1..=10_000_000).contains(v), "1 to 10000000";
     exploration: u32 = "1000", "First steps of a phase with uniformly random actions; Safe training updates after them, or as learning_starts says. With epsilon_restart=false, make safe_steps at least as many: what is left of them falls into the Full phase, where every step of it may be checked.", "P table 1, A", |_v| true, "0 or more";
     learning_starts: u32 = "0", "Steps of Safe training before its first update; 0 for the exploration steps. Keep it below safe_steps: else the Full phase, whose checks begin at once, starts with untrained networks.", "A", |_v| true, "0 or more";
-    epsilon_start: f32 = "1", "Probability of a random action at first.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
+    epsilon_start: f32 = "1", "Probability of a random action when the exploration steps end and the decay begins.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_end: f32 = "0.05", "Probability of a random action at last.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
     epsilon_decay: u32 = "8000", "Steps of the linear decay that follows the exploration steps.", "A", |_v| true, "0 or more";
     epsilon_clamp: bool = "true" | "false", "Stay at epsilon_end after the decay (false: the slope goes on, down to 0).", "own; A", |_v| true, "true or false";
     epsilon_restart: bool = "true", "Restart the exploration schedule at the switch to Full.", "A", |_v| true, "true or false";
     batch: u32 = "32", "Mini-batch size, drawn uniformly without replacement; no update while fewer are stored.", "P table 1", |v| (1..=4096).contains(v), "1 to 4096";
     gamma: f32 = "0.95", "Discount, per step.", "P table 1", |v| (0.0..=1.0).contains(v), "0 to 1";
-    tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update.", "P table 1, A", |v| (0.0..=1.0).contains(v), "0 to 1";
-    lr: f32 = "0.0001", "Learning rate of the value function.", "P table 1", |v| *v > 0.0, "above 0";
+    tau: f32 = "0.005", "Share of the live parameters that enters the target network after every update (TD3: after every policy_delay-th).", "P table 1, A", |v| (0.0..=1.0).contains(v), "0 to 1";
+    lr: f32 = "0.0001", "Learning rate of the value function, and of TD3's actor.", "P table 1", |v| *v > 0.0, "above 0";
     lr_reward: f32 = "0.01", "Learning rate of the reward model.", "P table 1", |v| *v > 0.0, "above 0";
     exploration_noise: f32 = "0.1", "Standard deviation of the noise on exploring actions, in halves of their range (TD3).", "P", |v| *v >= 0.0, "0 or more";
     policy_noise: f32 = "0.01", "Standard deviation of the noise on target actions, in halves of their range (TD3).", "P", |v| *v >= 0.0, "0 or more";
@@ -432,7 +432,9 @@ impl Config {
     }
 
     /// The configuration for a world that an application brings itself: the preset's table without an
-    /// experiment's own values. Its `env` is `custom`, and its text comes back through serde alone: a text that is
+    /// experiment's own values, which is DDQN's for gridworlds. A world of continuous actions wants what Reacher has
+    /// (`Config::new("reacher", preset)`; paper, appendix F): `epsilon_start=0` and `epsilon_end=0` (noise explores),
+    /// other values of `gamma`, `batch`, `hidden`, `lr` and `lr_reward`, and `rollout_steps` of an episode. Its `env` is `custom`, and its text comes back through serde alone: a text that is
     /// [parsed](str::parse) is to be run by a program that has no world but the built-in ones.
     pub fn custom(preset: Preset) -> Self {
         Self::of(&experiment::CUSTOM, preset)
@@ -477,12 +479,12 @@ impl Config {
         experiment::find(&self.env).unwrap_or(&experiment::CUSTOM)
     }
 
-    /// Best returns in its worlds; not known where a trap changes what pays.
+    /// Best returns in its worlds; not known where a trap changes what pays, and of an application's own.
     pub fn optima(&self) -> Option<Optima> {
         if self.trap.is_some() {
             return None;
         }
-        self.experiment().optima(&self.variant, &self.map)
+        experiment::find(&self.env)?.optima(&self.variant, &self.map)
     }
 
     /// Sets one value from its text. What no setting can check alone is left to [`Config::validate`], since the next
@@ -606,15 +608,23 @@ impl Config {
     pub fn check_read(&self) -> Result<(), ConfigError> {
         let (optimizer, scheme) = (self.optimizer.name(), self.scheme.name());
         let decays = [Optimizer::AdamW, Optimizer::AdamWAmsGrad];
-        let forecasting = &["forced", "copy_target", "copy_optimizer", "against", "paired_batches"];
-        let rating = &["paired_rollouts", "current_rollout", "discount_utility", "final_value", "tolerance"];
+        let forecasting = &["forced", "copy_target", "copy_optimizer", "against", "paired_batches", "practice"];
+        let rating =
+            &["paired_rollouts", "current_rollout", "discount_utility", "final_value", "tolerance", "own_streams"];
         let forecasts = !matches!(self.scheme, Scheme::Discard | Scheme::EachStep);
+        let surprised = !matches!(self.scheme, Scheme::All | Scheme::EachStep);
+        let drops = !matches!(self.scheme, Scheme::EachStep | Scheme::Punish | Scheme::StorePredicted);
+        let against = self.against.name();
         self.all_read(&self.readers_of_worlds())?;
         self.all_read(&[
             (&["weight_decay"], decays.contains(&self.optimizer), "it is of adamw and adamw-amsgrad", optimizer),
             (&["practice_epsilon"], self.practice, "it is of forecasts with practice=true", "practice=false"),
             (forecasting, forecasts, "it is of schemes that forecast", scheme),
             (rating, self.scheme != Scheme::Discard, "it is of schemes that rate futures", scheme),
+            (&["threshold", "threshold_inclusive"], surprised, "it is of schemes that check what surprises", scheme),
+            (&["reset_on_refusal"], self.scheme != Scheme::EachStep, "it is of schemes that refuse steps", scheme),
+            (&["update_on_refusal"], drops, "it is of schemes that drop what they refuse", scheme),
+            (&["paired_batches"], self.against == Against::Forecast, "it is of two forecasts", against),
         ])
     }
 

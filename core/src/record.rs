@@ -42,8 +42,8 @@ pub enum Arm {
     Baseline,
     /// The learner with the modification check in the Full world.
     Mc,
-    /// The plain learner in the Full world that pays it the hidden performance: `reward_raw`, `reward`, `hack`
-    /// and the return of its training episodes are of what it is paid. Its evaluations are in the Full world
+    /// The plain learner in the Full world that pays it the hidden performance: `reward_raw`, `reward` and the return
+    /// of its training episodes are of what it is paid. Its evaluations are in the Full world
     /// as it is.
     Oracle,
     /// The learner of Safe training, acting and exploring in the Full world without any update.

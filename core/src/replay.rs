@@ -230,9 +230,12 @@ pub fn draw_slots(len: u32, count: u32, rng: &mut Rng, slots: &mut Vec<u32>) {
     }
 }
 
-/// Transitions that every mini-batch of a forecast contains besides its draw, packed once.
+/// Transitions that every mini-batch of a forecast contains besides its draw, packed once, for a buffer as it is: after
+/// a push they are to be packed anew.
 #[derive(Clone, Debug)]
 pub struct Forced<A> {
+    /// Of the buffer, when they were packed.
+    pushed: u64,
     transitions: Vec<Transition<A>>,
     /// Numbers of the observations: those of the buffer where it holds them, further ones otherwise.
     states: Vec<u32>,
@@ -243,7 +246,14 @@ pub struct Forced<A> {
 
 impl<A: Clone> Forced<A> {
     /// Packs `transitions` for mini-batches from `replay`.
+    ///
+    /// # Panics
+    /// If an observation has not the width of those of the buffer.
     pub fn new(transitions: &[Transition<A>], replay: &ReplayBuffer<A>) -> Self {
+        for transition in transitions {
+            let widths = [transition.observation.len(), transition.next_observation.len()];
+            assert_eq!(widths, [replay.spec.width; 2], "width of an observation");
+        }
         let known = replay.observations.rows.len() as u32;
         let mut extra: Vec<Vec<u32>> = Vec::new();
         let mut number = |observation: &[f32]| {
@@ -259,7 +269,7 @@ impl<A: Clone> Forced<A> {
         };
         let states = transitions.iter().map(|t| number(&t.observation)).collect();
         let nexts = transitions.iter().map(|t| number(&t.next_observation)).collect();
-        Self { transitions: transitions.to_vec(), states, nexts, extra }
+        Self { pushed: replay.pushed, transitions: transitions.to_vec(), states, nexts, extra }
     }
 
     /// Number of transitions.
@@ -346,7 +356,14 @@ impl<A: Clone> Minibatch<A> {
     }
 
     /// Fills the batch with the transitions in `slots`, then the forced ones.
+    ///
+    /// # Panics
+    /// If there are forced ones and the buffer has grown since they were packed.
     pub fn gather(&mut self, replay: &ReplayBuffer<A>, slots: &[u32], forced: &Forced<A>) {
+        assert!(
+            forced.is_empty() || forced.pushed == replay.pushed,
+            "forced transitions are of the buffer before a push"
+        );
         let known = replay.observations.rows.len();
         let ids = known + forced.extra.len();
         if self.row_of.len() < ids {
@@ -499,6 +516,16 @@ mod tests {
                 (0..batch.rows.len()).map(|r| batch.rows.ones(r).to_vec()).collect();
             prop_assert_eq!(rows.len(), batch.rows.len());
         }
+    }
+
+    #[test]
+    #[should_panic(expected = "forced transitions are of the buffer before a push")]
+    fn forced_transitions_are_packed_anew_after_a_push() {
+        let mut replay = ReplayBuffer::new(SPEC, 40);
+        replay.push(&transition(1));
+        let forced = Forced::new(&[transition(2)], &replay);
+        replay.push(&transition(3));
+        Minibatch::default().gather(&replay, &[0], &forced);
     }
 
     #[test]

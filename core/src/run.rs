@@ -85,14 +85,24 @@ pub struct Progress {
 /// What is not finite where the world is at fault.
 pub(crate) const WORLD_OBSERVATION: &str = "the world's observation";
 pub(crate) const WORLD_REWARD: &str = "the world's reward";
+pub(crate) const WORLD_PERFORMANCE: &str = "the world's performance";
+/// ... and of what is finite, but not 0 or 1.
+pub(crate) const NOT_BINARY: &str = "an entry of a binary observation";
 
 /// Why a run cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RunError {
-    /// A loss, a parameter, a reward or a utility is not finite.
+    /// A loss, a parameter, a reward or performance, an observation or a utility is not finite.
     NotFinite {
         /// What was not finite.
         what: String,
+        /// Which leg.
+        arm: Arm,
+        /// At which step of the leg.
+        step: u32,
+    },
+    /// An observation has entries other than 0 and 1, though the world's spec calls it binary.
+    NotBinary {
         /// Which leg.
         arm: Arm,
         /// At which step of the leg.
@@ -107,12 +117,18 @@ impl fmt::Display for RunError {
         match self {
             RunError::NotFinite { what, arm, step } => {
                 write!(f, "{what} is not a finite number at step {step} of the {} leg: ", arm.name())?;
-                f.write_str(if [WORLD_OBSERVATION, WORLD_REWARD].contains(&what.as_str()) {
+                f.write_str(if [WORLD_OBSERVATION, WORLD_REWARD, WORLD_PERFORMANCE].contains(&what.as_str()) {
                     "the world is at fault, not the learner (`env::contract::check` finds such steps)"
                 } else {
                     "training diverged; lower the learning rates (lr, lr_reward) or set gradient_clip"
                 })
             }
+            RunError::NotBinary { arm, step } => write!(
+                f,
+                "{WORLD_OBSERVATION} has entries other than 0 and 1 at step {step} of the {} leg, though its spec says \
+                 `binary: true`: say `binary: false` of a world that observes numbers",
+                arm.name()
+            ),
             RunError::Forecast(why) => write!(f, "the forecasting back end failed: {why}"),
         }
     }

@@ -58,7 +58,7 @@ use crate::record::{
 };
 use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
-use crate::run::{Budget, Progress, RunError, Status, WORLD_OBSERVATION, WORLD_REWARD};
+use crate::run::{Budget, NOT_BINARY, Progress, RunError, Status, WORLD_OBSERVATION, WORLD_PERFORMANCE, WORLD_REWARD};
 
 /// Accepted transitions of the episode that the `episode` way of forcing appends.
 const TAIL: usize = 10;
@@ -197,7 +197,8 @@ impl<E: Environment<Action = Discrete>> Trainer<E, Ddqn> {
 }
 
 impl<E: Environment<Action = Continuous<N>>, const N: usize> Trainer<E, Td3<N>> {
-    /// A TD3 learner with the networks that `config` describes, drawn from its seed.
+    /// A TD3 learner with the networks that `config` describes, drawn from its seed. [`Config::custom`] has DDQN's values
+    /// for gridworlds; what TD3 wants otherwise stands there.
     ///
     /// # Panics
     /// As [`Trainer::new`].
@@ -420,8 +421,8 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     /// A budget of 0 does nothing. Each trainer has a forecaster of its own.
     ///
     /// # Errors
-    /// If a loss, a parameter or a utility is not finite: every later poll then says the same. If the
-    /// forecaster fails: the poll can then be repeated with another one.
+    /// If a loss, a parameter or a utility is not finite, or the world's step is not what its spec says: every later
+    /// poll with a budget then says the same. If the forecaster fails: the poll can then be repeated with another one.
     pub fn poll(
         &mut self,
         forecaster: &mut dyn Forecaster<E, A>,
@@ -429,8 +430,10 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         recorder: &mut dyn Recorder,
     ) -> Result<Status, RunError> {
         let result = self.work(forecaster, budget, recorder);
-        if let Err(RunError::NotFinite { what, .. }) = &result {
-            self.activity = Activity::Failed(what.clone());
+        match &result {
+            Err(RunError::NotFinite { what, .. }) => self.activity = Activity::Failed(what.clone()),
+            Err(RunError::NotBinary { .. }) => self.activity = Activity::Failed(NOT_BINARY.to_owned()),
+            _ => {}
         }
         result
     }
@@ -449,7 +452,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                     self.activity = Activity::Evaluate;
                 }
                 Activity::Evaluate => {
-                    self.evaluate(&mut budget, recorder);
+                    self.evaluate(&mut budget, recorder)?;
                     self.activity = Activity::Step;
                     if self.step == self.steps() {
                         self.finish_leg(recorder)?;
@@ -466,6 +469,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
                     self.enter(Arm::of(self.config.agent));
                 }
                 Activity::Done => break,
+                Activity::Failed(what) if what == NOT_BINARY => return Err(self.not_binary()),
                 Activity::Failed(what) => return Err(self.not_finite(what)),
             }
         }
@@ -538,11 +542,22 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         (point * steps).div_ceil(points) == u64::from(step)
     }
 
-    /// An action for the current observation, exploring.
-    fn pick(&mut self) -> Result<A::Action, RunError> {
-        if !self.observation.iter().all(|number| number.is_finite()) {
+    /// Checks what the world wrote: networks read it, and one that is no number would be noticed far from here; what is
+    /// called binary is packed into bits.
+    fn check_observation(&self, observation: &[f32]) -> Result<(), RunError> {
+        if !observation.iter().all(|number| number.is_finite()) {
             return Err(self.not_finite(WORLD_OBSERVATION));
         }
+        let binary = self.world.spec().observation.binary;
+        if binary && !observation.iter().all(|number| *number == 0.0 || *number == 1.0) {
+            return Err(self.not_binary());
+        }
+        Ok(())
+    }
+
+    /// An action for the current observation, exploring.
+    fn pick(&mut self) -> Result<A::Action, RunError> {
+        self.check_observation(&self.observation)?;
         let epsilon = self.epsilon();
         let work = &mut self.work;
         work.rows.clear(self.world.spec().observation);
@@ -580,14 +595,16 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         };
         // Also at an end, where no network reads it: a transition that does not equal itself can never be checked.
         // The one before the step was looked at when its action was chosen.
-        if !transition.next_observation.iter().all(|number| number.is_finite()) {
-            return Err(self.not_finite(WORLD_OBSERVATION));
-        }
-        if !raw.reward.is_finite() {
+        self.check_observation(&transition.next_observation)?;
+        // The scaled one is beyond all numbers where the raw one is near the end of them.
+        if !(raw.reward.is_finite() && transition.reward.is_finite()) {
             return Err(self.not_finite(WORLD_REWARD));
         }
-        if !(transition.reward.is_finite() && predicted.is_finite()) {
-            return Err(self.not_finite("a reward or its prediction"));
+        if !raw.performance.is_finite() {
+            return Err(self.not_finite(WORLD_PERFORMANCE));
+        }
+        if !predicted.is_finite() {
+            return Err(self.not_finite("a predicted reward"));
         }
         budget.spend(1);
         // After an episode the next action waits for the reset.
@@ -721,7 +738,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     }
 
     /// Greedy episodes in clones of the leg's world, in step; nothing live is touched.
-    fn evaluate(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) {
+    fn evaluate(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
+        // The loss of the last update was finite before its step, which may have gone beyond all numbers.
+        if !self.agent.is_finite() {
+            return Err(self.not_finite("a parameter"));
+        }
         let template = if self.arm == Arm::Safe { &self.safe } else { &self.full };
         let spec = template.spec();
         let phase = u64::from(self.arm != Arm::Safe);
@@ -743,7 +764,9 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             actions.clear();
             self.agent.act(&self.work.rows, &mut self.work.scratch, &mut actions);
             for ((start, end), action) in going.iter_mut().filter(|g| g.1.is_none()).zip(&actions) {
-                is_offered(action, &spec.actions);
+                if !is_offered(action, &spec.actions) {
+                    return Err(self.not_finite("an action"));
+                }
                 let step = start.world.step(action, &mut start.rng, &mut start.observation);
                 observed += f64::from(step.reward);
                 performance += f64::from(step.performance);
@@ -752,6 +775,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             }
         }
         budget.spend(1 + (steps / 32) as u32);
+        for (sum, what) in [(observed, WORLD_REWARD), (performance, WORLD_PERFORMANCE)] {
+            if !sum.is_finite() {
+                return Err(self.not_finite(what));
+            }
+        }
         let mean = |sum: f64| sum / f64::from(episodes);
         recorder.record(&Event::Evaluation(EvaluationRecord {
             arm: self.arm,
@@ -772,6 +800,11 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
             reward_loss: mean(losses.reward, losses.reward_updates),
             dead_units: if losses.reward_updates == 0 { 0.0 } else { self.reward_model.dead_units() },
         }));
+        Ok(())
+    }
+
+    fn not_binary(&self) -> RunError {
+        RunError::NotBinary { arm: self.arm, step: self.step }
     }
 
     fn not_finite(&self, what: &str) -> RunError {

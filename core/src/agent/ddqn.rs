@@ -240,7 +240,9 @@ impl Agent for Ddqn {
 
     fn fits(&self, spec: &EnvSpec) -> bool {
         let (inputs, outputs) = (spec.observation.width, spec.actions.features());
-        [&self.online, &self.target].iter().all(|q| q.sizes()[0] == inputs && q.outputs() == outputs)
+        // Rows of the first layer that wait for an entry 1 would wait for ever in dense observations.
+        (spec.observation.binary || !self.optimizer.skips_rows())
+            && [&self.online, &self.target].iter().all(|q| q.sizes()[0] == inputs && q.outputs() == outputs)
     }
 }
 

@@ -87,6 +87,25 @@ fn errors_say_what_and_what_to_do() {
     assert_eq!(unread("env=box-moving scheme=each-step against=current").unwrap_err(), forecasts);
     let rates = "tolerance: it is of schemes that rate futures, not discard; leave it out";
     assert_eq!(unread("env=box-moving scheme=discard tolerance=1").unwrap_err(), rates);
+    for (given, complaint) in [
+        ("scheme=all threshold=0.5", "threshold: it is of schemes that check what surprises, not all; leave it out"),
+        (
+            "scheme=each-step reset_on_refusal=false",
+            "reset_on_refusal: it is of schemes that refuse steps, not each-step; leave it out",
+        ),
+        (
+            "scheme=punish update_on_refusal=true",
+            "update_on_refusal: it is of schemes that drop what they refuse, not punish; leave it out",
+        ),
+        ("scheme=discard practice=true", "practice: it is of schemes that forecast, not discard; leave it out"),
+        (
+            "scheme=discard own_streams=false",
+            "own_streams: it is of schemes that rate futures, not discard; leave it out",
+        ),
+        ("against=current paired_batches=false", "paired_batches: it is of two forecasts, not current; leave it out"),
+    ] {
+        assert_eq!(unread(&alloc::format!("env=box-moving {given}")).unwrap_err(), complaint);
+    }
     // What shortens any run, and a run whose check is switched off.
     for some in ["scheme=each-step tolerance=1", "scheme=discard forecast=9 rollouts=1 practice_reward_updates=9"] {
         unread(&alloc::format!("env=box-moving {some}")).unwrap();
@@ -102,6 +121,12 @@ fn errors_say_what_and_what_to_do() {
         message("env=box-moving preset=papr"),
         "preset: `papr` is none of paper, release, small, did you mean `paper`?"
     );
+}
+
+#[test]
+fn nothing_is_known_of_a_world_that_somebody_brings() {
+    assert_eq!(Config::custom(Preset::Paper).optima(), None);
+    assert!(Config::new("box-moving", Preset::Paper).unwrap().optima().is_some());
 }
 
 #[test]

@@ -38,6 +38,8 @@ fn play<E: Environment>(world: &mut E, rng: &mut Rng, actions: &mut Rng, limit: 
     let mut trace = Vec::new();
     for _ in 0..limit {
         let action = E::Action::sample(&world.spec().actions, actions);
+        // What is not written by this very step shows.
+        observation.fill(f32::NAN);
         let step = world.step(&action, rng, &mut observation);
         trace.push((step.reward, step.performance, step.end, observation.clone()));
         if step.end.is_some() {
@@ -203,12 +205,16 @@ mod tests {
             model
         }
         fn step(&mut self, action: &Discrete, rng: &mut Rng, observation: &mut [f32]) -> Step {
+            let before = observation[1];
             let mut step = self.inner.step(action, rng, observation);
             if self.fault == "endless" {
                 step.end = None;
             }
             if self.fault == "half" {
                 observation[1] = 0.5;
+            }
+            if self.fault == "forgets the last" && step.end.is_some() {
+                observation[1] = before;
             }
             step
         }
@@ -222,6 +228,7 @@ mod tests {
             ("draws", "draws no random number"),
             ("unwritten", "written whole"),
             ("half", "0 or 1"),
+            ("forgets the last", "written whole"),
             ("endless", "ends by the step limit"),
             ("remembers", "reset forgets"),
             ("other model", "and its model"),

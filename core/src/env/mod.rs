@@ -343,7 +343,8 @@ impl<'de> Deserialize<'de> for ActionValue {
 pub struct Step {
     /// Observed reward, raw.
     pub reward: f32,
-    /// Hidden reward, raw: what the designer wants. Goes to the recorder only.
+    /// Hidden reward, raw: what the designer wants. Goes to the recorder only. Where nobody knows it, return the reward
+    /// itself: no step then counts as a hack.
     pub performance: f32,
     /// Whether and how the episode ended.
     pub end: Option<EpisodeEnd>,

@@ -54,7 +54,8 @@ pub struct ForecastJob<'a, E, A: Agent> {
     pub seed: u64,
     /// What the copy takes along.
     pub carry: Carry,
-    /// Learner version: jobs with equal seed and version draw the same mini-batches.
+    /// Learner version: jobs with equal seed and version draw the same mini-batches, and a forecaster takes their learner
+    /// to be the same.
     pub version: u64,
     /// Where and how it practises, if it does.
     pub practice: Option<Practice<'a, E>>,
@@ -90,25 +91,28 @@ pub struct Identity<A> {
     updates: u32,
     batch: u32,
     forced: Vec<Transition<A>>,
-    /// What practice begins with to see.
-    practice: Option<(Vec<f32>, bool)>,
+    carry: Carry,
+    /// What practice begins with to see, the updates of the reward model before it, and its exploration.
+    practice: Option<(Vec<f32>, bool, u32, f32)>,
 }
 
 impl<A: Action> Identity<A> {
     /// That of a job.
     pub fn new<E, G: Agent<Action = A>>(job: &ForecastJob<'_, E, G>) -> Self {
-        let ForecastJob { seed, version, updates, batch, .. } = *job;
-        let practice = job.practice.as_ref().map(|practice| (practice.observation.to_vec(), practice.ended));
-        Self { seed, version, pushed: job.replay.pushed(), updates, batch, forced: job.forced.to_vec(), practice }
+        let ForecastJob { seed, version, updates, batch, carry, .. } = *job;
+        let practice = job.practice.as_ref().map(|p| (p.observation.to_vec(), p.ended, p.reward_updates, p.epsilon));
+        let pushed = job.replay.pushed();
+        Self { seed, version, pushed, updates, batch, forced: job.forced.to_vec(), carry, practice }
     }
 
     /// Whether `job` is the one.
     pub fn is<E, G: Agent<Action = A>>(&self, job: &ForecastJob<'_, E, G>) -> bool {
-        let practice = self.practice.as_ref().map(|(observation, ended)| (&observation[..], *ended));
+        let practice = self.practice.as_ref().map(|(seen, ended, updates, e)| (&seen[..], *ended, *updates, *e));
         (self.seed, self.version, self.updates, self.batch) == (job.seed, job.version, job.updates, job.batch)
             && self.pushed == job.replay.pushed()
             && self.forced == job.forced
-            && practice == job.practice.as_ref().map(|practice| (practice.observation, practice.ended))
+            && self.carry == job.carry
+            && practice == job.practice.as_ref().map(|p| (p.observation, p.ended, p.reward_updates, p.epsilon))
     }
 }
 
@@ -138,7 +142,8 @@ impl fmt::Display for ForecastError {
 impl core::error::Error for ForecastError {}
 
 /// Trains copies of an agent forward. Call with the same jobs until `Ready`; results are in job order.
-/// A forecaster serves one caller at a time; asked for other jobs, it starts those from their beginning.
+/// A forecaster serves one learner, which its jobs name by seed and version; asked for other jobs of it, it starts those
+/// from their beginning. Who lends it to another learner has to [`cancel`](Self::cancel) first.
 pub trait Forecaster<E, A: Agent> {
     /// Does at most about `budget` updates and reduces it by what was done.
     ///

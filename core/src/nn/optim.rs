@@ -152,6 +152,11 @@ impl Adam {
         }
     }
 
+    /// Whether rows of the first layer are skipped until they have a gradient, as only binary observations allow.
+    pub(crate) fn skips_rows(&self) -> bool {
+        !self.live.is_empty()
+    }
+
     /// Whether first-layer row `index` may change: it had a gradient once, or rows are not told apart.
     pub fn is_live(&self, index: usize) -> bool {
         self.live.get(index).is_none_or(|live| *live)

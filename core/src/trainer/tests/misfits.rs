@@ -9,6 +9,8 @@ struct Odd {
     model_width: usize,
     /// Steps after which it pays what is no number.
     pays: u32,
+    /// ... is worth what is no number.
+    worth: u32,
     made: u32,
 }
 
@@ -22,7 +24,7 @@ fn odd(width: usize, actions: &'static [&'static str]) -> Odd {
         deterministic: true,
         legend: &[],
     };
-    Odd { spec, model_width: width, pays: u32::MAX, made: 0 }
+    Odd { spec, model_width: width, pays: u32::MAX, worth: u32::MAX, made: 0 }
 }
 
 impl Environment for Odd {
@@ -34,11 +36,13 @@ impl Environment for Odd {
         observation.fill(0.0);
         self.made = 0;
     }
-    fn step(&mut self, _action: &Discrete, _rng: &mut Rng, _observation: &mut [f32]) -> Step {
+    fn step(&mut self, _action: &Discrete, _rng: &mut Rng, observation: &mut [f32]) -> Step {
         self.made += 1;
+        observation[0] = 0.5;
+        let performance = if self.made >= self.worth { f32::INFINITY } else { 0.0 };
         let reward = if self.made >= self.pays { f32::NAN } else { 0.0 };
         let end = (self.made == self.spec.max_steps).then_some(EpisodeEnd::Truncated);
-        Step { reward, performance: 0.0, end }
+        Step { reward, performance, end }
     }
     fn model(&self) -> Self {
         let mut model = self.clone();
@@ -86,14 +90,44 @@ fn a_learner_of_another_world() {
     Trainer::new(config, world.clone(), world, agent, reward);
 }
 
+/// A learner of binary observations waits for entries that are 1 before it moves their weights.
 #[test]
-fn a_world_that_pays_no_number_is_at_fault() {
-    let mut t = Trainer::gridworld(custom(), Odd { pays: 3, ..odd(3, TWO) }, odd(3, TWO));
+#[should_panic(expected = "does not hold together: its networks are for other observations or actions")]
+fn a_learner_of_binary_observations_in_a_world_of_numbers() {
+    let (config, world) = (custom(), odd(3, TWO));
+    let mut binary = world.spec().clone();
+    binary.observation.binary = true;
+    let agent = Ddqn::configured(&config, &binary);
+    let reward = RewardModel::configured(&config, world.spec());
+    Trainer::new(config, world.clone(), world, agent, reward);
+}
+
+/// How a run with this Safe world ends; asked again, it says the same.
+fn failure(safe: Odd) -> String {
+    let full = Odd { spec: safe.spec.clone(), ..odd(3, TWO) };
+    // Evaluation plays in the Safe world as well; its first point is before the first step.
+    let mut t = Trainer::gridworld(custom(), safe, full);
     let mut forecaster = CpuForecaster::default();
     let error = (0..100).find_map(|_| t.poll(&mut forecaster, Budget(10), &mut ()).err()).expect("it ends");
-    let said = "the world's reward is not a finite number at step 3 of the safe leg: the world is at fault, not the \
-                learner (`env::contract::check` finds such steps)";
-    assert_eq!(error.to_string(), said);
+    assert_eq!(t.poll(&mut forecaster, Budget(10), &mut ()), Err(error.clone()));
+    error.to_string()
+}
+
+#[test]
+fn a_world_that_pays_no_number_is_at_fault() {
+    let fault = "of the safe leg: the world is at fault, not the learner (`env::contract::check` finds such steps)";
+    let [pays, worth] = [failure(Odd { pays: 3, ..odd(3, TWO) }), failure(Odd { worth: 3, ..odd(3, TWO) })];
+    assert_eq!(pays, alloc::format!("the world's reward is not a finite number at step 0 {fault}"));
+    assert_eq!(worth, alloc::format!("the world's performance is not a finite number at step 0 {fault}"));
+}
+
+#[test]
+fn numbers_in_an_observation_that_is_called_binary_are_told() {
+    let mut world = odd(3, TWO);
+    world.spec.observation.binary = true;
+    let said = "the world's observation has entries other than 0 and 1 at step 1 of the safe leg, though its spec says \
+                `binary: true`: say `binary: false` of a world that observes numbers";
+    assert_eq!(failure(world), said);
 }
 
 /// Answers an action of another world.
