@@ -42,7 +42,7 @@ use crate::agent::ddqn::Ddqn;
 use crate::agent::reward_model::RewardModel;
 use crate::agent::td3::Td3;
 use crate::check::Disposition;
-use crate::check::utility::{Rollout, Start};
+use crate::check::utility::Rollout;
 use crate::config::{CheckAfter, Config, Forced as ForcedKind, Learner, RewardBatch};
 use crate::digest::Digest;
 use crate::env::paying::Paying;
@@ -53,9 +53,7 @@ use crate::env::{
 use crate::forecast::Forecaster;
 use crate::nn::mlp::Scratch;
 use crate::nn::rows::Rows;
-use crate::record::{
-    Arm, EndRecord, EpisodeRecord, EvaluationRecord, Event, LearnerRecord, Recorder, StartRecord, StepRecord, Verdict,
-};
+use crate::record::{Arm, EndRecord, EpisodeRecord, Event, Recorder, StartRecord, StepRecord, Verdict};
 use crate::replay::{Forced, Minibatch, ReplayBuffer, Transition, draw_slots};
 use crate::rng::{Purpose, Rng};
 use crate::run::{Budget, NOT_BINARY, Progress, RunError, Status, WORLD_OBSERVATION, WORLD_PERFORMANCE, WORLD_REWARD};
@@ -737,72 +735,6 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
         Ok(true)
     }
 
-    /// Greedy episodes in clones of the leg's world, in step; nothing live is touched.
-    fn evaluate(&mut self, budget: &mut Budget, recorder: &mut dyn Recorder) -> Result<(), RunError> {
-        // The loss of the last update was finite before its step, which may have gone beyond all numbers.
-        if !self.agent.is_finite() {
-            return Err(self.not_finite("a parameter"));
-        }
-        let template = if self.arm == Arm::Safe { &self.safe } else { &self.full };
-        let spec = template.spec();
-        let phase = u64::from(self.arm != Arm::Safe);
-        let stream = Rng::stream(self.config.seed, Purpose::Evaluate, phase << 32 | u64::from(self.step));
-        // Equal episodes need not be played twice.
-        let episodes = if spec.deterministic { 1 } else { self.config.evaluation_episodes };
-        let mut going: Vec<(Start<E>, Option<EpisodeEnd>)> =
-            (0..episodes).map(|i| (Start::reset(template, stream.child(u64::from(i))), None)).collect();
-        let (mut observed, mut performance, mut steps) = (0.0f64, 0.0f64, 0u64);
-        let mut actions = Vec::new();
-        // A world of an application may forget its own limit; evaluation does not.
-        for _ in 0..spec.max_steps {
-            self.work.rows.clear(spec.observation);
-            going.iter().filter(|g| g.1.is_none()).for_each(|g| self.work.rows.push_observation(&g.0.observation));
-            if self.work.rows.is_empty() {
-                break;
-            }
-            // Nothing is left of the step before, also for a learner of an application that only adds.
-            actions.clear();
-            self.agent.act(&self.work.rows, &mut self.work.scratch, &mut actions);
-            for ((start, end), action) in going.iter_mut().filter(|g| g.1.is_none()).zip(&actions) {
-                if !is_offered(action, &spec.actions) {
-                    return Err(self.not_finite("an action"));
-                }
-                let step = start.world.step(action, &mut start.rng, &mut start.observation);
-                observed += f64::from(step.reward);
-                performance += f64::from(step.performance);
-                steps += 1;
-                *end = step.end;
-            }
-        }
-        budget.spend(1 + (steps / 32) as u32);
-        for (sum, what) in [(observed, WORLD_REWARD), (performance, WORLD_PERFORMANCE)] {
-            if !sum.is_finite() {
-                return Err(self.not_finite(what));
-            }
-        }
-        let mean = |sum: f64| sum / f64::from(episodes);
-        recorder.record(&Event::Evaluation(EvaluationRecord {
-            arm: self.arm,
-            step: self.step,
-            observed_return: mean(observed),
-            performance: mean(performance),
-            length: mean(steps as f64),
-        }));
-        let losses = core::mem::take(&mut self.losses);
-        let mean = |sum: f64, count: u32| sum / f64::from(count.max(1));
-        recorder.record(&Event::Learner(LearnerRecord {
-            arm: self.arm,
-            step: self.step,
-            updates: self.updates,
-            epsilon: self.epsilon(),
-            replay: self.replay.len(),
-            value_loss: mean(losses.value, losses.updates),
-            reward_loss: mean(losses.reward, losses.reward_updates),
-            dead_units: if losses.reward_updates == 0 { 0.0 } else { self.reward_model.dead_units() },
-        }));
-        Ok(())
-    }
-
     fn not_binary(&self) -> RunError {
         RunError::NotBinary { arm: self.arm, step: self.step }
     }
@@ -812,6 +744,7 @@ impl<E: Environment<Action = A::Action>, A: Agent> Trainer<E, A> {
     }
 }
 
+mod evaluation;
 mod gate;
 #[cfg(test)]
 mod tests;

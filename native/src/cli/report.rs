@@ -33,9 +33,11 @@ Examples:
   mcvl compare runs/* --assert 'mc.performance >= 45'
   mcvl compare runs/box-moving --assert 'fraction(mc.performance >= 48) >= 0.9'
 
-Expressions: numbers like 45 or 1e-9, + - * /, comparisons, and, or, not, fraction(...) of
-seeds; metrics like mc.performance, baseline.return.low, mc.recall. Every
-expression has to hold for every run, and of an unfinished one none does.")]
+Expressions: numbers like 45 or 1e-9, + - * /, comparisons, and, or, not,
+fraction(...) of seeds; metrics like mc.performance, baseline.return.low,
+mc.recall, mc.unchecked (an unknown one is answered with all there are).
+Every expression has to hold for every run, and of an unfinished one none
+does.")]
 pub struct CompareArgs {
     /// Run directories
     #[arg(required = true, value_name = "RUN")]
@@ -159,7 +161,7 @@ pub fn report(arguments: &ReportArgs, terminal: &mut Terminal) -> anyhow::Result
     let sets = read(&arguments.runs, false, terminal)?;
     let path = match &arguments.output {
         Some(path) => path.clone(),
-        None => Place::find(&arguments.runs[0])?.run.report(),
+        None => Place::find(&sets[0].path)?.run.report(),
     };
     arguments.check_place(&path)?;
     let curves = beside(path.parent().unwrap_or(Path::new("")), &sets)?;

@@ -29,8 +29,8 @@ use lent::lent;
 /// Arguments of `mcvl reproduce`.
 #[derive(Args)]
 #[command(after_help = "\
-Targets: all, fig3, fig4a, fig4b, fig5, table (claims without a figure), or
-experiments like E1. A cell is one setting over its seeds; experiments share
+Targets: all, fig3, fig3e, fig4a, fig4b, fig5, table (claims without a figure),
+or experiments like E1. A cell is one setting over its seeds; experiments share
 cells. What is finished is never trained again: the same command continues.
 A set can be made in parts: records of some seeds count with --from, and the
 records that are written then hold all of them.
@@ -47,7 +47,8 @@ pub struct ReproduceArgs {
     /// Fewer seeds, and a tenth or less of the steps where a seed takes minutes: not the paper's setting
     #[arg(long)]
     quick: bool,
-    /// Seeds of every cell: 0..10 (the end is left out) or 1,5,9 [default: 0..10]
+    /// Seeds of every cell: 0..10 (the end is left out) or 1,5,9 [default: 0..10; in Reacher
+    /// 0..5, where checks are repeated 0, with --quick fewer]
     #[arg(long, value_name = "LIST", value_parser = settings::seeds)]
     seeds: Option<settings::SeedList>,
     /// Train this cell only; may be repeated
@@ -183,7 +184,10 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
         };
         let text = results.text(&|verdict, words| terminal.paint(color(verdict), words));
         writeln!(terminal.out, "{}", text.trim_end())?;
-        writeln!(terminal.out, "\nWritten: {}", written.join("\n         "))?;
+        for (index, what) in written.iter().enumerate() {
+            let lead = if index == 0 { "\nWritten: " } else { "         " };
+            writeln!(terminal.out, "{lead}{}", wrap(what, 9, super::WIDTH).trim_start())?;
+        }
     }
     if end == Done::Interrupted {
         terminal.note(format_args!("stopped; the state is saved, continue with: {}", manner.resume));
@@ -239,6 +243,9 @@ impl ReproduceArgs {
         }
         let Some(path) = &self.bands else { return Ok(()) };
         check_target(path)?;
+        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+            usage!("--bands {}: there is no folder {}: make it first", path.display(), folder.display());
+        }
         if path.exists() && !fs::read_to_string(path).is_ok_and(|text| is_bands(&text)) {
             usage!("--bands {}: it is there and holds something else: name another file", path.display());
         }
@@ -262,6 +269,14 @@ impl ReproduceArgs {
         self.from.iter().for_each(|from| add(&format!("--from {}", shell_word(from))));
         if self.output.is_some() {
             add(&format!("-o {}", shell_word(&folder.0)));
+        }
+        for (flag, file) in [("--page", &self.page), ("--bands", &self.bands)] {
+            file.iter().for_each(|file| add(&format!("{flag} {}", shell_word(file))));
+        }
+        for (flag, given) in [("--assert-claims", self.assert_claims), ("--json", self.json)] {
+            if given {
+                add(flag);
+            }
         }
         self.pace.manner(resume, remote)
     }
@@ -289,15 +304,17 @@ impl Wanted {
 fn dry_run(arguments: &ReproduceArgs, wanted: &[(&Wanted, Standing)], terminal: &mut Terminal) -> anyhow::Result<Done> {
     let mut speeds: BTreeMap<&str, Speed> = BTreeMap::new();
     let (mut total, mut done) = (0.0, 0);
+    let mut rows = Vec::new();
     let row = |cell: &str, seeds: &str, expected: &str, config: &str| {
         // What is longer than its column still keeps its distance.
         let (seeds, expected) = (format!("{seeds} "), format!("{expected} "));
         let head = format!("{cell:<24}{seeds:<10}{expected:<10}");
         format!("{head}{}", wrap(config, head.chars().count(), super::WIDTH).trim_start())
     };
-    writeln!(terminal.out, "{}", row("cell", "seeds", "expected", "configuration"))?;
+    let mut table = row("cell", "seeds", "expected", "configuration") + "\n";
     for (wanted, standing) in wanted {
         let plan = &wanted.plan;
+        let mut expected_time = None;
         let (seeds, expected) = match &standing.record {
             Some(record) if standing.missing.is_empty() => {
                 done += 1;
@@ -309,16 +326,35 @@ fn dry_run(arguments: &ReproduceArgs, wanted: &[(&Wanted, Standing)], terminal: 
                 let speed = *speeds.entry(&plan.config.env).or_insert_with(|| Speed::measure(&plan.config));
                 let seconds = expected_seconds(wanted, &standing.missing, arguments, speed);
                 total += seconds;
+                expected_time = Some(seconds.round());
                 let begun = if standing.begun { ", begun" } else { "" };
                 (seed_list(&standing.missing), format!("{}{begun}", rough(seconds)))
             }
         };
-        writeln!(terminal.out, "{}", row(wanted.cell.name, &seeds, &expected, wanted.cell.config))?;
+        table += &(row(wanted.cell.name, &seeds, &expected, wanted.cell.config) + "\n");
+        rows.push(serde_json::json!({
+            "cell": wanted.cell.name,
+            "config": wanted.cell.config,
+            "finished": standing.record.as_ref().map_or(&[][..], Record::seeds),
+            "missing": standing.missing,
+            "begun": standing.begun,
+            "expected_seconds": expected_time,
+        }));
     }
+    if arguments.json {
+        let all = serde_json::json!({ "cells": rows, "expected_seconds": total.round() });
+        writeln!(terminal.out, "{}", serde_json::to_string_pretty(&all)?)?;
+        return Ok(Done::Well);
+    }
+    write!(terminal.out, "{table}")?;
     let cells = plural(wanted.len() as u64, "cell");
     let (total, threads) = (rough(total), arguments.pace.threads());
     if done == wanted.len() {
         writeln!(terminal.out, "\n{cells}, all done")?;
+        return Ok(Done::Well);
+    }
+    if rows.iter().all(|row| row["expected_seconds"].is_null()) {
+        writeln!(terminal.out, "\n{cells}, {done} done; nothing else is to be trained")?;
         return Ok(Done::Well);
     }
     writeln!(terminal.out, "\n{cells}, {done} done; here the rest takes about {total} with -j {threads}")?;

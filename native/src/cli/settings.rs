@@ -98,6 +98,9 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         }
         (None, None) => Preset::Paper,
     };
+    if let Some(given) = request.flags.iter().find(|given| given.key == "preset") {
+        usage!("preset: it decides every default, so it has a flag of its own: --preset {}", given.value);
+    }
     for (index, flag) in request.flags.iter().enumerate() {
         if let Some(other) = request.flags[..index].iter().find(|other| other.key == flag.key) {
             usage!("{}: given twice, by {} and by {}", flag.key, other.from, flag.from);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use mcvl::report::claims::Summary;
+use mcvl::report::claims::{Summary, percent};
 use mcvl::runs::{Manifest, Plan, RunDir, RunSet, State, check_forecasts, expected_forecasts, shell_word};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner, Preset, Scheme};
@@ -101,6 +101,9 @@ fn after_long_help() -> String {
 /// Trains.
 pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let resolved = settings::resolve(&arguments.request(), terminal)?;
+    if let Some(other) = resolved.given.iter().find(|given| given.key == "agent" && arguments.agent.len() > 1) {
+        usage!("agent: several are given by --agent, and {} by {}: leave one out", other.value, other.from);
+    }
     let run = RunDir::new(arguments.output.clone().unwrap_or_else(|| settings::default_directory(&arguments.env)));
     let plan = arguments.plan(&resolved);
     if !arguments.resume {
@@ -351,10 +354,13 @@ impl Cost {
             return said;
         }
         said.push(format!("{here}, {forecast:.0} in forecasts (one core)."));
-        let rate = 100.0 * config.experiment().check_rate;
+        let rate = config.experiment().check_rate;
         said.push(match config.scheme {
             Scheme::All => format!("About {time}: every step is checked."),
-            _ => format!("About {time}, if checks are as frequent as at the paper's setting ({rate:.0} % of steps)."),
+            _ => format!(
+                "About {time}, if checks are as frequent as at the paper's setting ({} of steps).",
+                percent(Some(rate))
+            ),
         });
         said
     }
@@ -376,12 +382,22 @@ impl Speed {
     /// Measures by two short trials.
     pub fn measure(config: &Config) -> Self {
         let mut config = config.clone();
-        // The trials skip the random steps, which update nothing.
-        config.exploration = config.batch;
+        // The trials skip the steps that update nothing, and the evaluation before them.
+        (config.exploration, config.learning_starts) = (config.batch, 0);
         let mut run = worlds::begin(&config).expect("the plan's world was looked for");
-        let begun = Instant::now();
-        while begun.elapsed() < TRIAL && run.poll(Budget(16), &mut ()) == Ok(Status::Working) {}
-        let live = run.progress().updates.max(1) as f64 / begun.elapsed().as_secs_f64();
+        let mut go_on = |budget| run.poll(Budget(budget), &mut ()).map(|status| (status, run.progress().updates));
+        let mut made = go_on(1);
+        while matches!(made, Ok((Status::Working, 0))) {
+            made = go_on(1);
+        }
+        let (begun, before) = (Instant::now(), made.map_or(0, |(_, updates)| updates));
+        let mut after = before;
+        while begun.elapsed() < TRIAL
+            && let Ok((Status::Working, updates)) = go_on(16)
+        {
+            after = updates;
+        }
+        let live = (after - before).max(1) as f64 / begun.elapsed().as_secs_f64();
         // Straight into a check that takes longer than the trial.
         let mut config = config.with_agent(Learner::Mc);
         (config.safe_steps, config.scheme, config.forecast) = (2 * config.batch, Scheme::All, 1_000_000);

@@ -339,7 +339,8 @@ pub fn seed_list(seeds: &[u64]) -> String {
 /// A share in per cent, or a dash where it has no value.
 pub fn percent(share: Option<f64>) -> String {
     share.map_or("–".into(), |share| {
-        let decimals = usize::from(share < 0.1);
+        // Rare is not never.
+        let decimals = if share > 0.0 && share < 0.001 { 2 } else { usize::from(share < 0.1) };
         format!("{:.decimals$} %", 100.0 * share)
     })
 }

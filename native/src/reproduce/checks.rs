@@ -247,7 +247,7 @@ pub(super) fn punished(e: &Evidence<'_>, cell: &Cell) -> Judged {
         performance(e, cell, "stored"),
         performance(e, &BOX, "not stored"),
         per_seed(e, cell, "checks per seed", |v| v.checks),
-        per_seed(e, &BOX, "not stored", |v| v.checks),
+        per_seed(e, &BOX, "checks per seed, not stored", |v| v.checks),
         hacked(e, cell, Arm::Mc, "hacked"),
     ];
     let spread = |cell: &Cell| {
@@ -351,11 +351,11 @@ pub(super) fn supervisors(e: &Evidence<'_>, one_cell: &Cell, cell: &Cell) -> Jud
             performance(e, cell, "12 cells:"),
             performance(e, one_cell, "1 cell:"),
             recall("recall with 12:", &with_twelve),
-            recall("with 1:", &with_one),
+            recall("recall with 1:", &with_one),
             hacked(e, cell, Arm::Mc, "hacked with 12:"),
-            hacked(e, one_cell, Arm::Mc, "with 1:"),
+            hacked(e, one_cell, Arm::Mc, "hacked with 1:"),
             at_the_switch(e, cell, "performance at the switch with 12:"),
-            at_the_switch(e, one_cell, "with 1:"),
+            at_the_switch(e, one_cell, "performance at the switch with 1:"),
         ],
     )
 }
@@ -434,9 +434,9 @@ pub(super) fn spread(e: &Evidence<'_>, cell: &Cell) -> Judged {
     let undecided = |of: fn(&super::spread::CheckSpread) -> f64| checks.iter().map(of).collect::<Vec<_>>();
     let numbers = [
         Number::of("share of repeats that decide otherwise, paired", &undecided(|c| c.paired.minority)),
-        Number::of("unpaired", &undecided(|c| c.unpaired.minority)),
+        Number::of("share of repeats that decide otherwise, unpaired", &undecided(|c| c.unpaired.minority)),
         Number::of("deviation of the margin, paired", &paired),
-        Number::of("unpaired", &unpaired),
+        Number::of("deviation of the margin, unpaired", &unpaired),
     ];
     Judged::new(less, numbers).by(difference)
 }
@@ -448,9 +448,9 @@ pub(super) fn current_state_alone(e: &Evidence<'_>) -> Judged {
         few,
         [
             recall("recall from the current state", &alone),
-            recall_of_seeds(e, &ROCKS_CURRENT, "mean of seeds"),
-            recall("with initial states", &with),
-            recall_of_seeds(e, &ROCKS, "mean of seeds"),
+            recall_of_seeds(e, &ROCKS_CURRENT, "recall from the current state, mean of seeds"),
+            recall("recall with initial states", &with),
+            recall_of_seeds(e, &ROCKS, "recall with initial states, mean of seeds"),
             hacked(e, &ROCKS_CURRENT, Arm::Mc, "hacked"),
             performance(e, &ROCKS_CURRENT, "performance"),
         ],

@@ -483,14 +483,21 @@ impl Results {
 
     /// Wall time in words, beside the paper's.
     pub fn cost_words(&self) -> String {
-        let seconds: f64 = self.costs.iter().filter_map(|cost| cost.seconds).sum();
+        let timed: Vec<f64> = self.costs.iter().filter_map(|cost| cost.seconds).collect();
+        let time = humantime::format_duration(std::time::Duration::from_secs(timed.iter().sum::<f64>().round() as u64));
+        let time = match self.costs.len() - timed.len() {
+            0 => format!("{time} of wall time"),
+            _ if timed.is_empty() => "A wall time that is not known".to_owned(),
+            unknown => {
+                format!("{time} of wall time and that of {}, which is not known,", plural(unknown as u64, "cell"))
+            }
+        };
         let updates: u64 = self.costs.iter().map(|cost| cost.updates).sum();
         let mut machines: Vec<&str> = self.costs.iter().map(|cost| cost.machine.as_str()).collect();
         machines.sort_unstable();
         machines.dedup();
         format!(
-            "{} of wall time for {} and {:.1} million gradient updates ({}); the paper's whole set took {PAPER_COST}.",
-            humantime::format_duration(std::time::Duration::from_secs(seconds.round() as u64)),
+            "{time} for {} and {:.1} million gradient updates ({}); the paper's whole set took {PAPER_COST}.",
             plural(self.costs.len() as u64, "cell"),
             updates as f64 / 1e6,
             if machines.is_empty() { "no machine yet".to_owned() } else { machines.join("; ") },

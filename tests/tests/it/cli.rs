@@ -376,6 +376,9 @@ fn runs_are_verified_compared_and_reported() {
 
     let paths = ok(folder, "report run");
     assert_eq!(paths.lines().next(), Some("run/report.html"));
+    fs::create_dir(folder.join("notes")).unwrap();
+    let paths = ok(folder, "report notes run --overwrite");
+    assert_eq!(paths.lines().next(), Some("run/report.html"), "the first that is a run");
     let page = fs::read_to_string(folder.join("run/report.html")).unwrap();
     assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
     ok(folder, "report run -o elsewhere.html");

@@ -41,7 +41,13 @@ fn mistakes_in_settings() {
         ("train box-moving --set gamma=x", &["gamma: `x` is not a finite number"]),
         ("train box-moving --set gamma", &["`gamma` is not of the form key=value"]),
         ("train box-moving --set env=x", &["env: choose it first"]),
+        ("train box-moving --set preset=release", &["preset: it decides every default", "--preset release"]),
         ("train box-moving --scheme all --set scheme=all", &["scheme: given twice"]),
+        (
+            "train box-moving --agent mc --agent frozen --set agent=oracle",
+            &["agent: several are given by --agent, and oracle by flag --set: leave one out"],
+        ),
+        ("train box-moving --scheme all --set threshold=1", &["threshold: it is of schemes that check what surprises"]),
         ("train box-moving --seed 1 --seeds 0..2", &["cannot be used with"]),
         ("train box-moving --seeds 3..3", &["is no list of seeds: write 0..10"]),
         ("train box-moving --seed -1", &["-1"]),

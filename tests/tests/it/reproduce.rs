@@ -391,6 +391,46 @@ fn seeds_without_a_time_of_their_own_say_nothing_of_cost() {
     );
 }
 
+/// What lies elsewhere may have more than is asked for, and the page may lie beside the folder.
+#[test]
+fn results_from_elsewhere_are_cut_to_what_is_planned_and_shown_where_the_page_lies() {
+    let folder = scratch();
+    let folder = folder.path();
+    let results = root().join("results");
+    let evaluate = format!("reproduce E1 --evaluate --from {}", results.display());
+    let quick = ok(folder, &format!("{evaluate} --quick -o quick"));
+    assert!(quick.contains("hacked 4 of 4") && !quick.contains("10 seeds"), "{quick}");
+    assert!(quick.contains("A wall time that is not known for 2 cells"), "{quick}");
+    fs::create_dir(folder.join("docs")).unwrap();
+    let marks = "<!-- mcvl reproduce: from here on written by the program -->\n<!-- mcvl reproduce: up to here -->\n";
+    fs::write(folder.join("docs/page.md"), marks).unwrap();
+    ok(folder, &format!("{evaluate} -o figures --page docs/page.md"));
+    let page = fs::read_to_string(folder.join("docs/page.md")).unwrap();
+    assert!(page.contains("](../figures/fig3.svg)"), "{page}");
+    let refused = ask(folder, &format!("{evaluate} -o other --bands none/bands.json"));
+    assert!(
+        refused.code == 2 && refused.stderr.contains("there is no folder none: make it first"),
+        "{}",
+        refused.stderr
+    );
+    assert!(!folder.join("other").exists());
+}
+
+#[test]
+fn a_dry_run_as_json_says_what_is_missing() {
+    let folder = scratch();
+    let ask =
+        |from: &str| json(&ok(folder.path(), &format!("reproduce E1 --only box --seeds 0..12 --dry-run --json{from}")));
+    let from = format!(" --from {}", root().join("results").display());
+    let [bare, lent] = [ask(""), ask(&from)].map(|plan| plan["cells"][0].clone());
+    assert_eq!(
+        (&bare["cell"], &bare["missing"][0], &lent["missing"]),
+        (&"box".into(), &0.into(), &[10, 11][..].into())
+    );
+    assert!(bare["expected_seconds"].as_f64() > lent["expected_seconds"].as_f64());
+    assert_eq!(bare["finished"].as_array().unwrap().len() + lent["finished"].as_array().unwrap().len(), 10);
+}
+
 /// The page of results is what the program makes of the committed records, and its figures are there.
 #[test]
 fn the_page_of_results_is_made_of_the_committed_records() {

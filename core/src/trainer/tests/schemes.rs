@@ -71,7 +71,8 @@ fn each_step_keeps_no_update_that_makes_the_policy_worse() {
         assert_ne!(after_update.digest, before_update.digest);
         // The judge is the learner before the update.
         let judge = Judge { value: &before.agent, reward: &before.reward_model, config: &before.config };
-        let rated = rate(&before.agent, &judge, alloc::vec![Start::reset(&before.full, Rng::new(0))]);
+        let rated =
+            rate(&before.agent, &judge, alloc::vec![crate::check::utility::Start::reset(&before.full, Rng::new(0))]);
         assert_eq!(rated[0].utility, before_update.rollouts[0]);
         if check.verdict == Verdict::Refuse {
             taken_back += 1;

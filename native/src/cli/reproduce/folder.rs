@@ -436,10 +436,11 @@ impl Folder {
 
     /// The text of a page with the results put in.
     fn page<'a>(&self, path: &'a Path, results: &Results) -> anyhow::Result<(&'a Path, String)> {
-        let beside = path.parent().unwrap_or(Path::new(""));
-        // Figures are named as seen from the page where that is possible, else by where they are.
-        let figures = self.0.strip_prefix(beside).unwrap_or(&self.0).display().to_string();
-        let figures = if figures.is_empty() { ".".to_owned() } else { figures };
+        // Figures are named as seen from the page, so that both can be moved together.
+        let whole = |path: &Path| std::path::absolute(path).map_err(RunsError::io("find", path));
+        let (page, folder) = (whole(path)?, whole(&self.0)?);
+        let seen = pathdiff::diff_paths(&folder, page.parent().unwrap_or(&page)).unwrap_or(folder);
+        let figures = if seen.as_os_str().is_empty() { ".".to_owned() } else { seen.display().to_string() };
         Ok((path, Self::put_in(path, &markdown(results, &figures))?))
     }
 

@@ -80,10 +80,11 @@ fn lend(
     arguments: &ReproduceArgs,
     terminal: &Terminal,
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
-    // Who asks for seeds by name gets no others.
-    let asked = |wanted: &Wanted, record: Record| match &arguments.seeds {
-        Some(_) if wanted.plan.seeds != record.seeds() => record.only(&wanted.plan.seeds),
-        _ => Some(record),
+    // Of the seeds that are planned, and no others, where they can be told apart.
+    let asked = |wanted: &Wanted, record: Record| match record.seeds().iter().all(|s| wanted.plan.seeds.contains(s)) {
+        true => Some(record),
+        false if record.is_joinable() || arguments.seeds.is_some() => record.only(&wanted.plan.seeds),
+        false => Some(record),
     };
     if !place.is_dir() {
         let record = Record::read(place)?;

@@ -15,7 +15,7 @@ pub(super) fn ledger(set: &RunSet, facts: &EnvSpec) -> String {
     if set.seeds.iter().all(|seed| seed.checks.is_empty()) {
         return "<h2>Every decision</h2>\n<p>There was nothing to decide: no transition was checked.</p>\n".into();
     }
-    let mut out = format!("<h2>Every decision</h2>\n<div class=\"ledger\">{}", filter(&super::name(set)));
+    let mut out = format!("<h2>Every decision</h2>\n<div class=\"ledger\">{}", filter(&set.path.display().to_string()));
     // One table is open at once, so that the reader sees what the others hold.
     for (index, seed) in set.seeds.iter().enumerate() {
         out += &table(seed, facts, index == 0);

@@ -45,8 +45,9 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
 pub fn html(sets: &[RunSet], films: Films<'_>, pages: Pages<'_>) -> String {
     let summaries: Vec<Summary> = sets.iter().map(Summary::new).collect();
     let several = sets.len() > 1;
-    let runs = sets.iter().zip(&summaries);
-    let sections: String = runs.map(|(set, summary)| section(set, summary, films, pages, several)).collect();
+    let runs = sets.iter().zip(names(sets)).zip(&summaries);
+    let sections: String =
+        runs.map(|((set, name), summary)| section(set, &name, summary, films, pages, several)).collect();
     // A frame does what its document allows, and no more.
     let (frames, scripts) = match sections.contains("<iframe ") {
         true => (format!("; {}", page::policy()), "and only its frames run scripts"),
@@ -80,10 +81,16 @@ fn opening(sets: &[RunSet], summaries: &[Summary]) -> String {
         [] => "<header><h1>There is no run to report on.</h1></header>\n".into(),
         [only] => format!("<header>{}</header>\n", headline(only, "h1")),
         several => {
-            let named: Vec<(String, &RunSet)> = sets.iter().map(|set| (name(set), set)).collect();
+            let named: Vec<(String, &RunSet)> = names(sets).into_iter().zip(sets).collect();
+            let mut worlds: Vec<&str> = Vec::new();
+            for title in several.iter().map(|summary| summary.title.as_str()) {
+                if !worlds.contains(&title) {
+                    worlds.push(title);
+                }
+            }
             format!(
                 "<header><p class=\"eyebrow\">{}</p><h1>Comparison of {}</h1>{}</header>\n",
-                escape(&several[0].title),
+                escape(&worlds.join(", ")),
                 plural(several.len() as u64, "run"),
                 figure(&sweep(&named))
             )
@@ -109,12 +116,12 @@ fn headline(summary: &Summary, level: &str) -> String {
 }
 
 /// Everything about one run directory.
-fn section(set: &RunSet, summary: &Summary, films: Films<'_>, pages: Pages<'_>, several: bool) -> String {
+fn section(set: &RunSet, name: &str, summary: &Summary, films: Films<'_>, pages: Pages<'_>, several: bool) -> String {
     let experiment = set.config.experiment();
     let facts = worlds::spec(&set.config);
     let mut out = String::from("<section class=\"set\">\n");
     if several {
-        let _ = write!(out, "<p class=\"eyebrow\"><code>{}</code></p>{}", escape(&name(set)), headline(summary, "h2"));
+        let _ = write!(out, "<p class=\"eyebrow\"><code>{}</code></p>{}", escape(name), headline(summary, "h2"));
     }
     let _ = writeln!(
         out,
@@ -126,7 +133,7 @@ fn section(set: &RunSet, summary: &Summary, films: Films<'_>, pages: Pages<'_>, 
     out += &claims(summary);
     out += &results(summary);
     out += &story::example(set, &facts, films);
-    out += &story::play(set, films, pages);
+    out += &story::play(set, name, films, pages);
     out += &story::failures(set, summary, &facts, films);
     out += &ledger::ledger(set, &facts);
     out += &reproduce(set);
@@ -282,9 +289,12 @@ fn full_legs(set: &RunSet) -> Vec<Arm> {
     Arm::ALL.into_iter().filter(|arm| *arm != Arm::Safe).filter(trained).collect()
 }
 
-/// A short name of a run: its folder's.
-fn name(set: &RunSet) -> String {
-    set.path.file_name().map_or_else(|| set.path.display().to_string(), |name| name.to_string_lossy().into_owned())
+/// Short names of runs: those of their folders; where two are called the same, their paths.
+fn names(sets: &[RunSet]) -> Vec<String> {
+    let last = |set: &RunSet| set.path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let alone = |name: &String| sets.iter().filter(|set| last(set).as_ref() == Some(name)).count() == 1;
+    let name = |set: &RunSet| last(set).filter(alone).unwrap_or_else(|| set.path.display().to_string());
+    sets.iter().map(name).collect()
 }
 
 /// The name of a check's action.

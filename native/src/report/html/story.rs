@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use mcvl_core::env::EnvSpec;
 use mcvl_core::record::{Arm, CheckRecord, Film, FutureRecord, Subject, Verdict};
 
-use super::{Films, Pages, action, name, tag};
+use super::{Films, Pages, action, tag};
 use crate::page;
 use crate::report::claims::{SeedEnd, Summary, plural, seed_list};
 use crate::report::film::{self, Part};
@@ -39,7 +39,7 @@ fn exemplary<'a>(set: &'a RunSet, films: Films<'_>) -> Option<(&'a SeedRun, Chec
 
 /// The decisions of the seed of the example, else of the first seed that made any, to be played. The page is in a frame
 /// that does nothing before it comes into view.
-pub(super) fn play(set: &RunSet, films: Films<'_>, pages: Pages<'_>) -> String {
+pub(super) fn play(set: &RunSet, name: &str, films: Films<'_>, pages: Pages<'_>) -> String {
     let chosen = exemplary(set, films).or_else(|| first(set, |_| true));
     let Some((seed, page)) = chosen.and_then(|(seed, check)| Some((seed, pages(seed, check.number)?))) else {
         return String::new();
@@ -53,7 +53,7 @@ pub(super) fn play(set: &RunSet, films: Films<'_>, pages: Pages<'_>) -> String {
          <iframe title=\"{}: the decisions of seed {}, to play\" loading=\"lazy\" sandbox=\"allow-scripts allow-forms\" \
          srcdoc=\"{}\"></iframe></details>\n",
         seed.seed,
-        escape(&name(set)),
+        escape(name),
         seed.seed,
         page::escape(&page)
     )
@@ -63,6 +63,10 @@ pub(super) fn play(set: &RunSet, films: Films<'_>, pages: Pages<'_>) -> String {
 pub(super) fn failures(set: &RunSet, summary: &Summary, facts: &EnvSpec, films: Films<'_>) -> String {
     let mut out = String::from("<h2>What went wrong</h2>\n");
     let items = complaints(summary);
+    if items.is_empty() && summary.arm(Arm::Mc).is_none() {
+        return out
+            + "<p>No modification-considering learner was trained here, so there was no decision to go wrong.</p>\n";
+    }
     if items.is_empty() {
         return out
             + "<p>Nothing: no seed of the modification-considering learner was hacked, no hack was accepted, \

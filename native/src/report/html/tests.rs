@@ -37,6 +37,36 @@ fn failures_have_as_much_room_as_the_success() {
 }
 
 #[test]
+fn without_a_learner_that_checks_nothing_is_said_of_its_decisions() {
+    let mut set = samples::set(&[Ending::Intended]);
+    for seed in &mut set.seeds {
+        seed.ends.retain(|end| end.arm != Arm::Mc);
+        seed.evaluations.retain(|point| point.arm != Arm::Mc);
+        seed.checks.clear();
+    }
+    let page = page(&[set]);
+    assert!(
+        page.contains("No modification-considering learner was trained here") && !page.contains("<p>Nothing: no seed")
+    );
+}
+
+#[test]
+fn runs_that_are_compared_are_told_apart() {
+    let other = RunSet { path: "elsewhere/box-moving".into(), ..samples::set(&[Ending::Missed]) };
+    let absent = "env=absent-supervisor".parse().unwrap();
+    let absent = RunSet { path: "runs/absent".into(), config: absent, ..samples::set(&[Ending::Intended]) };
+    let page = page(&[samples::ten(), other, absent]);
+    for name in ["<code>runs/box-moving</code>", "<code>elsewhere/box-moving</code>", "<code>absent</code>"] {
+        assert!(page.contains(name), "{name}");
+    }
+    let groups = ["runs/box-moving", "elsewhere/box-moving", "runs/absent"].map(|path| format!("name=\"show-{path}\""));
+    assert_eq!(groups.map(|group| page.matches(&group).count()), [4; 3]);
+    let opening = page.split("</header>").next().unwrap();
+    assert!(opening.contains("Box Moving, Absent Supervisor"));
+    assert!(!opening.contains("full hack"), "what one world can bring is no line across the other's bars");
+}
+
+#[test]
 fn every_decision_is_a_row() {
     let set = samples::ten();
     let page = page(std::slice::from_ref(&set));

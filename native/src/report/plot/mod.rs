@@ -183,7 +183,13 @@ pub fn sweep(sets: &[(String, &RunSet)]) -> Figure {
         y_title: unit_of(quantity).into(),
         x: Horizontal::Settings { title: "setting".into(), names: names.clone() },
         series: Arm::ALL[1..].iter().filter_map(|arm| end_series(&summaries, *arm, quantity)).collect(),
-        references: sets.first().map_or(Vec::new(), |(_, set)| references(&set.config, quantity)),
+        // Lines across all of them are of all of them.
+        references: match sets {
+            [(_, first), others @ ..] if others.iter().all(|(_, set)| set.config.optima() == first.config.optima()) => {
+                references(&first.config, quantity)
+            }
+            _ => Vec::new(),
+        },
     };
     let told = names.iter().zip(&summaries).map(|(name, summary)| format!("{name}: {}", describe(summary)));
     Figure {
