@@ -74,7 +74,8 @@ impl Observations {
     }
 }
 
-/// A first-in, first-out store of transitions, from which mini-batches are drawn.
+/// A first-in, first-out store of transitions, from which mini-batches are drawn. Equal observations are stored once, with
+/// an index from their words to their number; serde writes that, too, so the format has to be a binary one (postcard).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReplayBuffer<A> {
     spec: ObservationSpec,

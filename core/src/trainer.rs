@@ -62,6 +62,10 @@ use crate::run::{Budget, NOT_BINARY, Progress, RunError, Status, WORLD_OBSERVATI
 const TAIL: usize = 10;
 
 /// A learner on its way through the Safe and the Full leg.
+///
+/// [`Run`](crate::run::Run) keeps one in snapshots that know their version, their world and their digest, and looks at
+/// what it reads back; serde alone does not. Binary formats hold it (postcard), text formats have no place for the keys
+/// of its replay buffer.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(bound(
     serialize = "E: Serialize, A: Serialize, A::Action: Serialize",
