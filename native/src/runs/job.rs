@@ -162,7 +162,18 @@ impl ReadyJob {
             // Not asked for: there is nothing to do.
             Start::Finished => return Err(RunsError::Request(format!("seed {} is finished", job.config.seed))),
         };
-        let mut open = OpenJob { job, run, finished, switch, writer, remote, seat: None, idle, saved: Instant::now() };
+        let mut open = OpenJob {
+            job,
+            run,
+            finished,
+            switch,
+            writer,
+            remote,
+            seat: None,
+            idle,
+            saved: Instant::now(),
+            polled: true,
+        };
         open.equip();
         Ok(open)
     }
@@ -181,6 +192,8 @@ pub struct OpenJob {
     seat: Option<Seat>,
     idle: Arc<Idle>,
     saved: Instant,
+    /// Whether the run has moved since: while it waits for a device, it is not saved again.
+    polled: bool,
 }
 
 /// How far a job came.
@@ -219,10 +232,10 @@ impl OpenJob {
     fn leg(&mut self, control: &Control, watcher: &mut dyn Watcher) -> Result<Pause, RunsError> {
         loop {
             let stop = control.stopped();
-            if stop || self.saved.elapsed() >= control.checkpoint_every {
+            if stop || self.polled && self.saved.elapsed() >= control.checkpoint_every {
                 let logs = self.writer.sync()?;
                 Checkpoint::write(&self.job.dir.state(), self.finished, &logs, &self.run)?;
-                self.saved = Instant::now();
+                (self.saved, self.polled) = (Instant::now(), false);
             }
             if stop {
                 return Ok(Pause::Ended(Ending::Interrupted));
@@ -231,6 +244,7 @@ impl OpenJob {
                 watcher.progress(self.finished, self.run.progress());
                 return Ok(Pause::Waiting);
             }
+            self.polled = true;
             let status = match self.run.poll(BUDGET, &mut Tee { writer: &mut self.writer, watcher }) {
                 Ok(status) => status,
                 Err(RunError::Forecast(why)) if self.remote.as_ref().is_some_and(|remote| remote.falls_back(&why)) => {

@@ -123,6 +123,11 @@ enum Stage {
     Open(Box<OpenJob>),
 }
 
+/// Files of an open job: its logs, a lock, and what is written of a checkpoint.
+const FILES_OF_A_JOB: u64 = 6;
+/// Files of the program besides.
+const FILES: u64 = 100;
+
 /// Works on `jobs` with `threads` threads; `tick` is called with the state of all of them every tenth of
 /// a second and once at the end. Outcomes are in the order of the jobs.
 ///
@@ -149,6 +154,8 @@ fn work(
     idle: &Arc<Idle>,
     mut tick: impl FnMut(&[SeedView]),
 ) -> Vec<Outcome> {
+    // Where it cannot be raised, the first file that cannot be opened says so.
+    let _ = rlimit::increase_nofile_limit(FILES + jobs.len() as u64 * FILES_OF_A_JOB);
     let views: Vec<Mutex<SeedView>> = jobs.iter().map(|job| Mutex::new(SeedView::new(job))).collect();
     let seeds: Vec<u64> = jobs.iter().map(ReadyJob::seed).collect();
     let workers = threads.clamp(1, jobs.len().max(1));

@@ -100,6 +100,29 @@ pub fn supports(config: &Config) -> Result<(), String> {
     Ok(())
 }
 
+/// The same of one job.
+///
+/// # Errors
+/// Why not.
+pub fn has<E>(job: &ForecastJob<'_, E, Ddqn>) -> Result<(), String> {
+    let layers = job.agent.networks().iter().map(|(_, network)| network.sizes().len() - 2).max().unwrap_or(0);
+    if layers != 2 {
+        return Err(format!("the kernel has networks of two hidden layers, and this one has {layers}"));
+    }
+    if !job.replay.spec().binary {
+        return Err("the kernel has binary observations, and these are numbers".to_owned());
+    }
+    if job.practice.is_some() {
+        return Err("the kernel does not practise in the world".to_owned());
+    }
+    let samples = u64::from(job.batch) + job.forced.len() as u64;
+    // Without a full mini-batch there is no update.
+    if job.value_updates() > 0 && samples > u64::from(SAMPLES) {
+        return Err(format!("the kernel has mini-batches of up to {SAMPLES} transitions, and this one has {samples}"));
+    }
+    Ok(())
+}
+
 /// What the jobs of one check have in common.
 #[derive(Debug)]
 struct Common {

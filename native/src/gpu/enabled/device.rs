@@ -1,5 +1,6 @@
 //! One device: how it is opened, what is allocated there, and how it fails.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
@@ -155,6 +156,11 @@ impl Device {
             Self { info, arithmetic: Arithmetic::default(), workgroup, largest, tight, device, queue, complaint };
         let arithmetic = Arithmetic::find(&plain)?;
         Ok(Self { arithmetic, ..plain })
+    }
+
+    /// Whether kernels go through Vulkan.
+    pub fn is_vulkan(&self) -> bool {
+        self.info.driver.starts_with(&format!("{:?}", wgpu::Backend::Vulkan))
     }
 
     /// How kernels compute here.
@@ -386,14 +392,17 @@ impl Device {
     }
 
     fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
-        let result = self.device.poll(PollType::Wait { submission_index, timeout: Some(PATIENCE) });
+        // A driver that says the device is lost ends in a panic within wgpu 30 (`Device::poll`), after the complaint.
+        let poll = || self.device.poll(PollType::Wait { submission_index, timeout: Some(PATIENCE) });
+        let result = catch_unwind(AssertUnwindSafe(poll));
         if let Some(complaint) = self.complaint.lock().expect("nobody panics while noting").take() {
             return Err(complaint);
         }
         match result {
-            Ok(_) => Ok(()),
-            Err(PollError::Timeout) => Err(GpuError::Lost(format!("no answer for {} s", PATIENCE.as_secs()))),
-            Err(error) => Err(GpuError::Lost(error.to_string())),
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(PollError::Timeout)) => Err(GpuError::Lost(format!("no answer for {} s", PATIENCE.as_secs()))),
+            Ok(Err(error)) => Err(GpuError::Lost(error.to_string())),
+            Err(_) => Err(GpuError::Lost("the driver gave it up, as printed above".to_owned())),
         }
     }
 

@@ -17,6 +17,11 @@ use super::{ddqn, td3};
 pub trait OnDevice: Agent {
     /// A job, ready for the device.
     type Packed;
+    /// Whether the kernel has such a job.
+    ///
+    /// # Errors
+    /// Why not.
+    fn has<E>(job: &ForecastJob<'_, E, Self>) -> Result<(), String>;
     /// Packs jobs whose replay buffer, seed and version are one and the same.
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<Self::Packed>;
     /// The order of a job.
@@ -27,6 +32,10 @@ pub trait OnDevice: Agent {
 
 impl OnDevice for Ddqn {
     type Packed = ddqn::Packed;
+
+    fn has<E>(job: &ForecastJob<'_, E, Self>) -> Result<(), String> {
+        ddqn::has(job)
+    }
 
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<ddqn::Packed> {
         ddqn::pack(jobs)
@@ -43,6 +52,10 @@ impl OnDevice for Ddqn {
 
 impl<const N: usize> OnDevice for Td3<N> {
     type Packed = td3::Packed;
+
+    fn has<E>(job: &ForecastJob<'_, E, Self>) -> Result<(), String> {
+        td3::has(job)
+    }
 
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<td3::Packed> {
         td3::pack(jobs)
@@ -96,6 +109,10 @@ impl<E, A: OnDevice> Forecaster<E, A> for GpuForecaster<A> {
     fn poll(&mut self, jobs: &[ForecastJob<'_, E, A>], budget: &mut Budget) -> Poll<Result<Vec<A>, ForecastError>> {
         if self.jobs.len() != jobs.len() || !self.jobs.iter().zip(jobs).all(|(known, job)| known.is(job)) {
             self.forget();
+            // Whoever brings a trainer of their own has not asked what a run is asked.
+            if let Some(why) = jobs.iter().find_map(|job| A::has(job).err()) {
+                return Poll::Ready(Err(ForecastError::BackEnd(why)));
+            }
             self.jobs = jobs.iter().map(Identity::new).collect();
             // The kernels draw the mini-batches of a batch of jobs once.
             let alike = |pair: &[ForecastJob<'_, E, A>]| {

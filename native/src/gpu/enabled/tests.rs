@@ -471,6 +471,34 @@ fn a_lost_device_is_an_error_for_whoever_waits_and_comes() {
     }
 }
 
+/// Also those whose jobs were in the hands of the thread, and those who come later.
+#[test]
+fn a_thread_that_panics_is_an_error_for_whoever_waits_and_comes() {
+    let Some(device) = device().map(|_| Device::open(None).unwrap()) else { return };
+    let gpu = Gpu { desk: Desk::open(device) };
+    let small = Small::new("hidden=8", 1);
+    let mut waiting = forecaster(&gpu);
+    assert!(waiting.poll(&small.jobs(50_000, 16, 1), &mut Budget(1)).is_pending());
+    let ticket = gpu.desk.order(vec![worker::Work::Panic]).remove(0);
+    for mut forecaster in [waiting, forecaster(&gpu)] {
+        let Some(ForecastError::BackEnd(why)) = finish(&mut forecaster, &small.jobs(50_000, 16, 1)).err() else {
+            panic!("the thread panicked")
+        };
+        assert!(why.contains("its thread panicked") && why.contains("--resume"), "{why}");
+    }
+    assert!(ticket.is_ready());
+}
+
+#[test]
+fn jobs_that_no_kernel_has_are_declined_with_the_reason() {
+    let Some(gpu) = device() else { return };
+    let why = |small: &Small| finish(&mut forecaster(&gpu), &small.jobs(1, 16, 1)).err().map(|error| error.to_string());
+    assert!(why(&Small::new("hidden=8 layers=3", 1)).unwrap().contains("networks of two hidden layers"));
+    let small = Small::new("hidden=8", 1);
+    let many = finish(&mut forecaster(&gpu), &small.jobs(1, 64, 1)).err().unwrap().to_string();
+    assert!(many.contains("mini-batches of up to 64 transitions, and this one has 65"), "{many}");
+}
+
 #[test]
 fn a_forecast_that_is_too_large_is_declined_with_the_reason() {
     let Some(gpu) = device() else { return };

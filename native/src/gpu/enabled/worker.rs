@@ -2,6 +2,7 @@
 //! one dispatch whenever they came in, TD3 learners in batches of those that came in together.
 
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::{self, JoinHandle};
@@ -31,6 +32,9 @@ pub enum Work {
     Ddqn(Arc<ddqn::Packed>),
     /// A TD3 learner.
     Td3(Arc<td3::Packed>),
+    /// What makes the thread panic, as a driver can.
+    #[cfg(test)]
+    Panic,
 }
 
 impl Work {
@@ -38,6 +42,8 @@ impl Work {
         match self {
             Self::Ddqn(packed) => packed.updates(),
             Self::Td3(packed) => packed.updates(),
+            #[cfg(test)]
+            Self::Panic => 1,
         }
     }
 
@@ -46,6 +52,8 @@ impl Work {
         match self {
             Self::Ddqn(packed) => packed.bytes(),
             Self::Td3(packed) => packed.bytes(),
+            #[cfg(test)]
+            Self::Panic => [0; 2],
         }
     }
 
@@ -54,6 +62,8 @@ impl Work {
         match self {
             Self::Ddqn(packed) => packed.loops(),
             Self::Td3(packed) => packed.loops(),
+            #[cfg(test)]
+            Self::Panic => 0,
         }
     }
 
@@ -145,6 +155,8 @@ struct Room {
 #[derive(Debug, Default)]
 struct State {
     orders: Vec<Order>,
+    /// Every ticket that may still be without its result, wherever its job is by now.
+    open: Vec<Arc<Ticket>>,
     closing: bool,
     /// Why the device is of no further use.
     failure: Option<GpuError>,
@@ -193,9 +205,11 @@ impl Desk {
     pub fn order(&self, work: Vec<Work>) -> Vec<Arc<Ticket>> {
         let mut state = lock(&self.room.state);
         let mut tickets = Vec::new();
+        state.open.retain(|ticket| !ticket.is_ready());
         for work in work {
             let ticket = Arc::new(Ticket::new(work.updates()));
             tickets.push(ticket.clone());
+            state.open.push(ticket.clone());
             match &state.failure {
                 Some(failure) => ticket.finish(Err(failed(failure))),
                 None => state.orders.push(Order { work, ticket }),
@@ -255,9 +269,15 @@ struct Running {
     training: Training,
     tickets: Vec<Arc<Ticket>>,
     done: u32,
+    /// Updates that it may make in the next slice: how long its updates take is seen first.
+    slice: u32,
 }
 
 impl Running {
+    fn new(training: Training, tickets: Vec<Arc<Ticket>>) -> Self {
+        Self { training, tickets, done: 0, slice: FIRST_SLICE }
+    }
+
     fn is_done(&self) -> bool {
         self.done >= self.training.updates()
     }
@@ -303,9 +323,15 @@ impl Worker {
 
     fn work(mut self) {
         while let Some(orders) = self.orders() {
-            self.take(orders);
-            if let Err(failure) = self.admit().and_then(|()| self.advance()) {
-                self.fail(failure);
+            // A driver that fails can end in a panic within wgpu; whoever waits is told of that as of any other failure.
+            let turn = catch_unwind(AssertUnwindSafe(|| {
+                self.take(orders);
+                self.admit().and_then(|()| self.advance())
+            }));
+            match turn {
+                Ok(Ok(())) => {}
+                Ok(Err(failure)) => self.fail(failure),
+                Err(_) => self.fail(GpuError::Lost("its thread panicked, as printed above".to_owned())),
             }
             self.room.finished.notify_all();
         }
@@ -357,6 +383,8 @@ impl Worker {
                         None => checks.push(Arrival { jobs: vec![packed], tickets: vec![ticket] }),
                     }
                 }
+                #[cfg(test)]
+                Work::Panic => panic!("a driver that fails"),
                 Work::Td3(packed) => {
                     if sum.iter().zip(bytes).any(|(sum, bytes)| sum + bytes > largest) {
                         self.start(std::mem::take(&mut batch));
@@ -376,7 +404,7 @@ impl Worker {
         if !packed.is_empty() {
             let kernel = self.td3.get_or_insert_with(|| td3::Kernel::new(&self.device));
             let training = Training::Batch(td3::Batch::new(&self.device, kernel, &packed));
-            self.running.push(Running { training, tickets, done: 0 });
+            self.running.push(Running::new(training, tickets));
         }
     }
 
@@ -403,7 +431,7 @@ impl Worker {
                 break;
             };
             let tickets = self.arrived.pop_front().map(|arrival| arrival.tickets).unwrap_or_default();
-            self.running.push(Running { training: Training::Check(check), tickets, done: 0 });
+            self.running.push(Running::new(Training::Check(check), tickets));
         }
         Ok(())
     }
@@ -417,7 +445,8 @@ impl Worker {
         let (mut commands, mut most) = (self.device.commands("slice"), 0);
         for running in &mut self.running {
             let longest = running.training.longest_slice(self.device.loop_limit());
-            let count = self.slice.min(longest).min(running.training.updates() - running.done);
+            let count = self.slice.min(running.slice).min(longest).min(running.training.updates() - running.done);
+            running.slice = running.slice.saturating_mul(2);
             if count > 0 {
                 match &running.training {
                     Training::Check(check) => self.ddqn.plan(check, running.done, count),
@@ -430,9 +459,10 @@ impl Worker {
         self.ddqn.encode(&self.device, &mut commands);
         self.device.run(commands)?;
         if most > 0 {
-            // From what was done, which can be less than a slice.
+            // From what was done, which can be less than a slice and then says nothing against a longer one.
             let share = SLICE.as_secs_f64() / start.elapsed().as_secs_f64().max(1e-6);
-            self.slice = ((f64::from(most) * share.clamp(0.25, 2.0)) as u32).max(1);
+            let next = ((f64::from(most) * share.clamp(0.25, 2.0)) as u32).max(1);
+            self.slice = if share < 1.0 { next } else { next.max(self.slice) };
         }
         for running in &self.running {
             for ticket in &running.tickets {
@@ -484,10 +514,10 @@ impl Worker {
     /// The device is of no further use: whoever waits or comes is told.
     fn fail(&mut self, failure: GpuError) {
         let mut state = lock(&self.room.state);
-        let running = self.running.drain(..).flat_map(|running| running.tickets);
-        let waiting = self.arrived.drain(..).flat_map(|arrival| arrival.tickets);
-        let orders = state.orders.drain(..).map(|order| order.ticket);
-        for ticket in running.chain(waiting).chain(orders.collect::<Vec<_>>()) {
+        self.running.clear();
+        self.arrived.clear();
+        state.orders.clear();
+        for ticket in state.open.drain(..).filter(|ticket| !ticket.is_ready()) {
             ticket.finish(Err(failed(&failure)));
         }
         state.failure.get_or_insert(failure);
