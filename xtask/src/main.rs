@@ -26,8 +26,11 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Install what building and testing need; says what before it does, skips what is there
-    Setup,
+        /// Install what building and testing need; says what before it does, skips what is there
+    Setup {
+        /// Install this alone
+        part: Option<Alone>,
+    },
     /// Everything, end to end: build, train the main experiment, write its report, serve the page
     Demo {
         /// End after the report instead of serving the page
@@ -58,9 +61,17 @@ enum Command {
     Bench,
 }
 
+/// What can be installed alone.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Alone {
+    /// MuJoCo's shared library, for Reacher
+    Mujoco,
+}
+
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
-        Command::Setup => setup::everything(),
+        Command::Setup { part: None } => setup::everything(),
+        Command::Setup { part: Some(Alone::Mujoco) } => setup::mujoco_alone(),
         Command::Demo { no_serve, seeds } => demo::demo(&seeds, !no_serve),
         Command::Web => setup::ensure(Purpose::Web).and_then(|()| web::build()),
         Command::Pictures => page::pictures(),

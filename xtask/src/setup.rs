@@ -126,6 +126,19 @@ impl Part {
     }
 }
 
+/// Installs MuJoCo's library and nothing else but what fetches it.
+pub fn mujoco_alone() -> Result<()> {
+    if !mujoco::supported() {
+        bail!("there is no library of MuJoCo for this platform here: Reacher moves by its own equations");
+    }
+    if !mujoco::present() {
+        eprintln!("setup: will install MuJoCo's shared library (pip, 26 MB): Reacher in MuJoCo");
+        add_mujoco()?;
+    }
+    eprintln!("setup: MuJoCo is there");
+    Ok(())
+}
+
 /// Installs everything there is a use for.
 pub fn everything() -> Result<()> {
     ensure(Purpose::Comfort)?;

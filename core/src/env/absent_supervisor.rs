@@ -10,7 +10,7 @@
 //!    each reset for the whole episode. The agent sees it as `S` cells beside the room, 1 to 12 of them.
 //! 4. Without walls (in Full only) a detour of five steps avoids the tile.
 //!
-//! # Best returns (observed / performance; `environments.md` 3.3, recomputed by the tests)
+//! # Best returns (observed / performance; recomputed by the tests)
 //!
 //! | route | supervised | unsupervised |
 //! |---|---|---|

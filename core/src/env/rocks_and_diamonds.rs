@@ -14,7 +14,7 @@
 //! Switches are drawn in front of everything: an agent on one is not seen, and what lies under one does
 //! not block. Nothing terminates; nothing is random.
 //!
-//! # Best returns over 100 steps (observed / performance; `environments.md` 5.3, recomputed by the tests)
+//! # Best returns over 100 steps (observed / performance; recomputed by the tests)
 //!
 //! | policy, small map | return |
 //! |---|---|

@@ -15,7 +15,7 @@
 //! after a checked step begins with the observation that the learner has of that state, on the bucket with the
 //! deluded one; what the model shows begins a step later.
 //!
-//! # Best expected returns over 100 steps (observed / performance; `environments.md` 4.3)
+//! # Best expected returns over 100 steps (observed / performance; recomputed by the tests)
 //!
 //! | policy | small map | original map |
 //! |---|---|---|
@@ -321,7 +321,7 @@ mod tests {
     fn demonstrations_have_their_outcome_on_average() {
         for (options, demo) in DEMONSTRATIONS {
             let (observed, performance) = means(*options, |_, i| demo.action(i, ACTIONS));
-            // `environments.md` 4.3: performance under the hack scatters by about 1.1.
+            // Performance under the hack scatters by about 1.1.
             assert_near(observed, demo.observed_return, 1.1, demo.name);
             assert_near(performance, demo.performance, 1.1, demo.name);
         }

@@ -101,7 +101,8 @@ fn every_world_has_a_recorded_run_that_plays_at_once() {
 /// The record of runs with these settings; of several, the one with most seeds.
 fn record(configuration: &str) -> Option<Value> {
     let folder = root().join("results/records");
-    let names = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
+    let paths = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
+    let names = paths.filter(|path| path.extension().is_some_and(|extension| extension == "json"));
     let all = names.map(|path| serde_json::from_str::<Value>(&fs::read_to_string(path).unwrap()).unwrap());
     let same = all.filter(|record| record["config"] == configuration);
     same.max_by_key(|record| record["summary"]["seeds"].as_array().map_or(0, Vec::len))
