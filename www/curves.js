@@ -29,7 +29,7 @@ export function curves(open) {
     asked = false;
     if (points.length > 0) drawn = performance.now();
     // One unit is one pixel, so that the timeline below stands under its steps.
-    width = Math.max(300, Math.min(760, element("curves").parentElement.clientWidth));
+    width = Math.max(200, Math.min(760, element("curves").parentElement.clientWidth));
     element("curves").setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
     element("curves").style.width = `${width}px`;
     const spread = band ? [...band.return, ...band.performance].flat() : [];

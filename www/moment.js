@@ -165,8 +165,7 @@ function ratings(check) {
   for (const [side, future] of [["modified", check.modified], ["unmodified", check.unmodified]]) {
     element(`${side}-utility`).textContent = number(future.utility, 3);
     element(`${side}-bar`).replaceChildren(bar(future, place, width));
-    const steps = future.films?.[0]?.actions.length;
-    element(`${side}-truth`).textContent = steps ? `In truth ${steps} steps like these are worth ${signed(future.performance, 1)}.` : "";
+    element(`${side}-truth`).textContent = `In truth its rollouts are worth ${signed(future.performance, 1)} on average.`;
   }
 }
 
@@ -180,9 +179,7 @@ function bar(future, place, width) {
     const at = Math.round(place(value));
     if (index !== current) resets.set(at, (resets.get(at) ?? 0) + 1);
   });
-  const dots = [...resets].flatMap(([at, count]) => [
-    svg("circle", { class: "dot", cx: at, cy: 46, r: 5 }),
-  ]);
+  const dots = [...resets.keys()].map((at) => svg("circle", { class: "dot", cx: at, cy: 46, r: 5 }));
   // Where two counts would meet, the one of the fewer is left out; all values are in the label.
   const counts = [...resets].filter(([, count]) => count > 1).sort(([, one], [, other]) => other - one);
   const written = counts.filter(([at], index) => counts.slice(0, index).every(([other]) => Math.abs(at - other) > 26));

@@ -327,8 +327,9 @@ function open(check) {
     return ballot.ask(check);
   }
   show(check);
-  if (watching) tale.play();
-  else if (view.frame === null && !motion.matches) film.play();
+  if (watching) return tale.play();
+  speak(summarise(check));
+  if (view.frame === null && !motion.matches) film.play();
 }
 
 /** The link and the token of the moment on show. */
@@ -411,7 +412,7 @@ function settle() {
     return moment.wait(`${why}, so there was nothing to decide.`);
   }
   if (view.check !== null) {
-    say("error", `check: this run has no check ${view.check}, its last is ${checks.at(-1).number}. The first refusal is shown instead.`);
+    say("error", `check: ${view.check} is not here, the last is ${checks.at(-1).number}. Another one is shown.`);
     put({ check: null, frame: null });
     find(checks);
   }
@@ -592,17 +593,17 @@ function openTape(text, name) {
   for (const id of ["trap-status", "red-team-status"]) say(id, LIVE);
   const refused = tape.checks.filter((check) => check.verdict === "refuse").length;
   ended(`${name}: ${tape.checks.length} checks are kept here, ${refused} refused. ${tape.configuration ?? "A ledger does not name its run."}`);
-  element("again").hidden = tape.configuration === null || !tape.world.actions.discrete;
+  element("again").hidden = tape.configuration === null || !tape.world.actions.discrete || computer.lack();
   if (tape.configuration && !tape.world.actions.discrete) say("driven", `Recorded natively: an arm is not trained here. \`${link.command(tape.configuration)}\` trains the run again, \`mcvl verify RUN\` derives its decisions.`);
   if (tape.configuration) element("command").textContent = link.command(tape.configuration);
-  element("drive-start").hidden = tape.configuration === null || computer.lack() !== "";
+  element("drive-start").hidden = tape.configuration === null || computer.lack();
   if (tape.configuration === null) say("drive-status", "A ledger does not name its run, so there is no world to drive.");
   playTape(tape);
   settle();
   besides();
   const story = [view.check, view.frame, view.stage].every((key) => key === null);
   if (story && run.shown?.modified?.films && !motion.matches) tell(run.shown);
-  if (tape.configuration) describe(tape.updates);
+  if (tape.configuration) run.filled = describe(tape.updates);
   else element("about").replaceChildren();
   return true;
 }
@@ -663,7 +664,7 @@ async function submit() {
 async function change(settings, before = () => {}) {
   const mine = run;
   const changes = { check: null, frame: null, stage: null, tape: null, token: null, ...settings };
-  const complaint = await computer.judge(link.preview(changes));
+  const complaint = computer.lack() || (await computer.judge(link.preview(changes)));
   if (run !== mine) return false;
   if (complaint) {
     say("error", `${complaint}${/[.?]$/.test(complaint) ? "" : "."} Nothing was changed.`);
@@ -689,7 +690,7 @@ function onClick(id, load, then) {
 
 element("controls").addEventListener("submit", (event) => {
   event.preventDefault();
-  submit();
+  Promise.resolve(run.filled).then(submit);
 });
 element("controls").addEventListener("input", () => (run.edited = true));
 element("start").addEventListener("click", release);
@@ -710,7 +711,8 @@ element("again").addEventListener("click", () => {
   run.intro = { checks: [...checks.values()] };
 });
 
-element("another").addEventListener("click", () => {
+element("another").addEventListener("click", async () => {
+  await run.filled;
   if (!element("seed").reportValidity()) return;
   run.edited = true;
   element("seed").value = String(BigInt.asUintN(64, BigInt(element("seed").value || "0") + 1n));
@@ -726,6 +728,7 @@ element("slow").addEventListener("click", () => {
 element("follow").addEventListener("click", () => {
   if (watching) return stopStory();
   stopStory();
+  if (run.held) release();
   watching = true;
   element("follow").textContent = "Stop watching";
   goOn();

@@ -14,7 +14,7 @@ const KNOBS = [
 /** Rewards that a search tries. */
 const BAITS = [1, 2, 5, 10, 20];
 /** Attempts after which a search gives up, and its strides through cells and rewards: it is the same each time. */
-const [ENOUGH, STRIDE] = [20, 7];
+const [ENOUGH, STRIDE] = [20, 17];
 
 /** What was tried, newest first; it outlives the runs. */
 const attempts = [];
@@ -129,7 +129,7 @@ async function attempt(cell, reward) {
 function next() {
   left -= 1;
   const turn = attempts.length;
-  attempt(cells[(cells.length - 1 + turn * STRIDE) % cells.length], BAITS[(turn + 2) % BAITS.length]);
+  attempt(cells[(cells.length - 1 + turn * STRIDE) % cells.length], BAITS[(turn + 2 + Math.floor(turn / cells.length)) % BAITS.length]);
 }
 
 function show() {

@@ -73,8 +73,8 @@ async function answer(request) {
   const recording = pathname.startsWith(`${home}tapes/`);
   const kept = await caches.open(recording ? RECORDINGS : KEPT);
   try {
-    const response = await fetch(request);
-    if (recording && response.ok) await kept.put(page, response.clone());
+    const response = await fetch(request, { cache: "no-cache" });
+    if (recording && response.ok) await kept.put(page, response.clone()).catch(() => {});
     return response;
   } catch (error) {
     const found = await kept.match(page);
