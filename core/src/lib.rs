@@ -15,6 +15,9 @@
 //!
 //! # Where to look
 //! - [`env`](mod@env): worlds; implement [`env::Environment`] for yours and run [`env::contract::check`] on it.
+//! - [`agent::Agent`]: learners; implement it for yours and give it to [`trainer::Trainer::new`], together with the
+//!   reward model that [`agent::reward_model::RewardModel::configured`] makes. The example `agent` does so with a
+//!   table of values: `cargo run -p mcvl-core --example agent`.
 //! - [`trainer::Trainer`]: the loop, polled with a budget; [`run::Run`] is the same with its types erased, for the
 //!   built-in worlds and, by [`run::Run::of`], for yours: it is what has snapshots ([`run::Run::snapshot`],
 //!   [`run::Run::resume_of`]).

@@ -17,6 +17,27 @@ use crate::rng::Rng;
 ///
 /// Methods work on batches of observations; `scratch` is working memory without content. Same state, same rows and same
 /// random stream have to give the same answer, or a run is not what its text says: no clock, no map without an order.
+///
+/// # Writing one
+/// A learner of an application is given to [`Trainer::new`](crate::trainer::Trainer::new), with the reward model that
+/// [`RewardModel::configured`](reward_model::RewardModel::configured) makes; the example `agent` has one with a table
+/// of values. [`Run::of`](crate::run::Run::of) wants it `Serialize` and `Send`, too, and `Run::resume_of`
+/// `Deserialize`.
+///
+/// **Rows.** One per observation. [`Rows::ones`] reads those of a world whose observations are binary: the ascending
+/// positions of the ones. [`Rows::numbers`] reads all others.
+///
+/// **Mini-batches.** Sample `i` of a [`Minibatch`] did `actions[i]` in row `state[i]` of `rows`, was paid `rewards[i]`
+/// (scaled) and came to row `next[i]` of `rows`. The same observation is row `next_target[i]` of `next_rows`, which has
+/// nothing but what a target network reads; a learner without one needs only `rows`. Both numbers are
+/// [`NO_ROW`](crate::replay::NO_ROW) where the transition terminated and no value follows; a truncated one has its next
+/// row. Equal observations share a row, so count samples by [`Minibatch::len`], not by rows. In a forecast the forced
+/// transitions stand last, after the `batch` that were drawn.
+///
+/// **Settings.** `lr`, `tau` and TD3's noise and delay are read by the built-in learners alone: they do nothing to a
+/// learner that does not take them from the [`Config`](crate::config::Config) itself. `hidden`, `layers` and the
+/// optimiser's settings are then the reward model's only. `gamma` also discounts utilities, to whose sum the learner
+/// adds the last value: it should discount alike. `copy_target` and `copy_optimizer` arrive as [`Carry`].
 pub trait Agent: Clone {
     /// What it does in the world.
     type Action: Action;
@@ -29,15 +50,19 @@ pub trait Agent: Clone {
     fn values(&self, observations: &Rows, actions: &[Self::Action], scratch: &mut Scratch, values: &mut Vec<f32>);
 
     /// Value of every row by the target network and its own best action, scaled units, in place of what `values` held.
+    ///
+    /// Only `final_value=target-max` asks for it, where a rated rollout ends. A learner without a target network
+    /// answers with the values of its best actions.
     fn target_values(&self, observations: &Rows, scratch: &mut Scratch, values: &mut Vec<f32>);
 
-    /// One gradient update on a mini-batch; returns the mean loss before it.
+    /// One gradient update on a mini-batch; returns the mean loss before it. One that is not finite ends the run.
     fn update(&mut self, batch: &Minibatch<Self::Action>, rng: &mut Rng) -> f32;
 
     /// The copy from which a forecast starts, with what it takes along.
     fn for_forecast(&self, carry: Carry) -> Self;
 
-    /// The networks with their names, for files that other programs read; none where it has none.
+    /// The networks with their names, for files that other programs read; none where it has none. No decision
+    /// reads them; where forecasts are made elsewhere, their sizes tell what was handed back for another learner.
     fn networks(&self) -> Vec<(&'static str, &Mlp)>;
 
     /// Whether every parameter that decides actions is a finite number.
