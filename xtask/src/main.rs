@@ -26,7 +26,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-        /// Install what building and testing need; says what before it does, skips what is there
+    /// Install what building and testing need; says what before it does, skips what is there
     Setup {
         /// Install this alone
         part: Option<Alone>,
