@@ -643,10 +643,7 @@ async function openFile(file) {
   if (text === undefined) return;
   const before = { ...view };
   Object.assign(view, { check: null, frame: null, stage: null, tape: null, token: null });
-  if (!openTape(text, file.name)) {
-    view = before;
-    return;
-  }
+  if (!openTape(text, file.name)) return void (view = before);
   begun = true;
   if (run.configuration) link.turnTo(run.configuration);
   else link.write({ check: null, frame: null, stage: null, tape: null, token: null });
