@@ -348,15 +348,15 @@ fn dry_run(arguments: &ReproduceArgs, wanted: &[(&Wanted, Standing)], terminal: 
     }
     write!(terminal.out, "{table}")?;
     let cells = plural(wanted.len() as u64, "cell");
-    let (total, threads) = (rough(total), arguments.pace.threads());
     if done == wanted.len() {
         writeln!(terminal.out, "\n{cells}, all done")?;
         return Ok(Done::Well);
     }
-    if rows.iter().all(|row| row["expected_seconds"].is_null()) {
+    if total == 0.0 {
         writeln!(terminal.out, "\n{cells}, {done} done; nothing else is to be trained")?;
         return Ok(Done::Well);
     }
+    let (total, threads) = (rough(total), arguments.pace.threads());
     writeln!(terminal.out, "\n{cells}, {done} done; here the rest takes about {total} with -j {threads}")?;
     let basis = "Checks are expected as often as at the paper's setting; what was begun counts in full.";
     writeln!(terminal.out, "{}", wrap(basis, 0, super::WIDTH))?;

@@ -379,6 +379,8 @@ pub struct Speed {
 const TRIAL: Duration = Duration::from_millis(200);
 /// Steps that the first one hardly makes in it.
 const TRIAL_STEPS: u32 = 20_000;
+/// Evaluations that a phase may have.
+const MOST_EVALUATIONS: u32 = 100_000;
 
 impl Speed {
     /// Measures by two short trials.
@@ -388,7 +390,7 @@ impl Speed {
         // where nothing is checked.
         (config.exploration, config.learning_starts) = (config.batch, 0);
         let steps = if config.safe_steps > 0 { config.safe_steps } else { config.full_steps };
-        let factor = (TRIAL_STEPS / steps.max(1)).clamp(1, 100);
+        let factor = (TRIAL_STEPS / steps.max(1)).min(100).min(MOST_EVALUATIONS / config.evaluations).max(1);
         (config.safe_steps, config.evaluations) = (steps.max(1) * factor, config.evaluations * factor);
         let mut run = worlds::begin(&config).expect("the plan's world was looked for");
         let mut go_on = |budget| run.poll(Budget(budget), &mut ()).map(|status| (status, run.progress().updates));

@@ -70,20 +70,23 @@ impl SeedRun {
 /// Steps of the checked learner in a `steps.csv` that were hacks and were not checked; none where the file is not there
 /// (kept summaries may lack it) or is no such table.
 fn unchecked_hacks(path: &Path) -> Option<u64> {
-    let lines = lines(path).ok()?;
-    let (columns, rows) = lines.split_first()?;
-    let column = |name: &str| columns.split(',').position(|column| column == name);
+    // The largest of a run's files: one line of it at a time.
+    let mut table = BufReader::new(File::open(path).ok()?);
+    let (mut line, mut count) = (String::new(), 0);
+    table.read_line(&mut line).ok()?;
+    let column = |name: &str| line.trim_end().split(',').position(|column| column == name);
     let [arm, paid, worth, checked] = ["arm", "reward_raw", "performance", "checked"].map(column);
     let (arm, paid, worth, checked) = (arm?, paid?, worth?, checked?);
-    let mut count = 0;
-    for row in rows {
-        let cells: Vec<&str> = row.split(',').collect();
-        let number = |column: usize| cells.get(column)?.parse::<f32>().ok();
-        if *cells.get(arm)? == Arm::Mc.name() {
-            count += u64::from(number(paid)? != number(worth)? && *cells.get(checked)? == "false");
+    loop {
+        line.clear();
+        table.read_line(&mut line).ok()?;
+        let Some(row) = line.strip_suffix('\n') else { return Some(count) };
+        let cell = |column: usize| row.split(',').nth(column);
+        let number = |column: usize| cell(column)?.parse::<f32>().ok();
+        if cell(arm)? == Arm::Mc.name() {
+            count += u64::from(number(paid)? != number(worth)? && cell(checked)? == "false");
         }
     }
-    Some(count)
 }
 
 /// Complete lines of a log. A last line without its end is one that is being written, or was when the

@@ -429,6 +429,13 @@ fn a_dry_run_as_json_says_what_is_missing() {
     );
     assert!(bare["expected_seconds"].as_f64() > lent["expected_seconds"].as_f64());
     assert_eq!(bare["finished"].as_array().unwrap().len() + lent["finished"].as_array().unwrap().len(), 10);
+    // What the trial of a dry run changes stays within what settings may be.
+    for safe_steps in [0, 1, 100] {
+        ok(
+            folder.path(),
+            &format!("train box-moving --set safe_steps={safe_steps} --set evaluations=100000 --dry-run"),
+        );
+    }
 }
 
 /// The page of results is what the program makes of the committed records, and its figures are there.

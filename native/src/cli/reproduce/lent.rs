@@ -81,10 +81,10 @@ fn lend(
     terminal: &Terminal,
 ) -> anyhow::Result<Option<(&'static Cell, Record)>> {
     // Of the seeds that are planned, and no others, where they can be told apart.
-    let asked = |wanted: &Wanted, record: Record| match record.seeds().iter().all(|s| wanted.plan.seeds.contains(s)) {
-        true => Some(record),
-        false if record.is_joinable() || arguments.seeds.is_some() => record.only(&wanted.plan.seeds),
-        false => Some(record),
+    let asked = |wanted: &Wanted, record: Record| {
+        let planned = record.seeds().iter().all(|seed| wanted.plan.seeds.contains(seed));
+        let whole = planned || !record.is_joinable() && arguments.seeds.is_none();
+        if whole { Some(record) } else { record.only(&wanted.plan.seeds) }
     };
     if !place.is_dir() {
         let record = Record::read(place)?;

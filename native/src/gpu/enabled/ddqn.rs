@@ -105,15 +105,8 @@ pub fn supports(config: &Config) -> Result<(), String> {
 /// # Errors
 /// Why not.
 pub fn has<E>(job: &ForecastJob<'_, E, Ddqn>) -> Result<(), String> {
-    let layers = job.agent.networks().iter().map(|(_, network)| network.sizes().len() - 2).max().unwrap_or(0);
-    if layers != 2 {
-        return Err(format!("the kernel has networks of two hidden layers, and this one has {layers}"));
-    }
     if !job.replay.spec().binary {
         return Err("the kernel has binary observations, and these are numbers".to_owned());
-    }
-    if job.practice.is_some() {
-        return Err("the kernel does not practise in the world".to_owned());
     }
     let samples = u64::from(job.batch) + job.forced.len() as u64;
     // Without a full mini-batch there is no update.

@@ -48,6 +48,8 @@ pub struct Device {
     workgroup: u32,
     /// Bytes that one buffer can have.
     largest: u64,
+    /// Whether kernels go through Vulkan.
+    vulkan: bool,
     /// Whether kernels can be SPIR-V of our own, see [`tight`].
     tight: bool,
     device: wgpu::Device,
@@ -116,7 +118,8 @@ impl Device {
             ..least.or_worse_values_from(&offered)
         };
         // SPIR-V is Vulkan's.
-        let tight = adapter.get_info().backend == wgpu::Backend::Vulkan && adapter.features().contains(PASSTHROUGH);
+        let vulkan = adapter.get_info().backend == wgpu::Backend::Vulkan;
+        let tight = vulkan && adapter.features().contains(PASSTHROUGH);
         let required_features = if tight { PASSTHROUGH } else { wgpu::Features::empty() };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("mcvl"),
@@ -152,15 +155,24 @@ impl Device {
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         let workgroup = if info.software { 0 } else { most };
         let largest = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let plain =
-            Self { info, arithmetic: Arithmetic::default(), workgroup, largest, tight, device, queue, complaint };
+        let plain = Self {
+            info,
+            arithmetic: Arithmetic::default(),
+            workgroup,
+            largest,
+            vulkan,
+            tight,
+            device,
+            queue,
+            complaint,
+        };
         let arithmetic = Arithmetic::find(&plain)?;
         Ok(Self { arithmetic, ..plain })
     }
 
     /// Whether kernels go through Vulkan.
     pub fn is_vulkan(&self) -> bool {
-        self.info.driver.starts_with(&format!("{:?}", wgpu::Backend::Vulkan))
+        self.vulkan
     }
 
     /// How kernels compute here.

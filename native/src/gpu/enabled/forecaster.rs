@@ -17,11 +17,13 @@ use super::{ddqn, td3};
 pub trait OnDevice: Agent {
     /// A job, ready for the device.
     type Packed;
-    /// Whether the kernel has such a job.
+    /// Whether the kernel has such a job, besides what no kernel has.
     ///
     /// # Errors
     /// Why not.
-    fn has<E>(job: &ForecastJob<'_, E, Self>) -> Result<(), String>;
+    fn has<E>(_job: &ForecastJob<'_, E, Self>) -> Result<(), String> {
+        Ok(())
+    }
     /// Packs jobs whose replay buffer, seed and version are one and the same.
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<Self::Packed>;
     /// The order of a job.
@@ -53,10 +55,6 @@ impl OnDevice for Ddqn {
 impl<const N: usize> OnDevice for Td3<N> {
     type Packed = td3::Packed;
 
-    fn has<E>(job: &ForecastJob<'_, E, Self>) -> Result<(), String> {
-        td3::has(job)
-    }
-
     fn pack<E>(jobs: &[ForecastJob<'_, E, Self>]) -> Vec<td3::Packed> {
         td3::pack(jobs)
     }
@@ -69,6 +67,21 @@ impl<const N: usize> OnDevice for Td3<N> {
         self.take_over(packed.updates(), values);
         self
     }
+}
+
+/// Whether a kernel has such a job.
+///
+/// # Errors
+/// Why not.
+fn on_device<E, A: OnDevice>(job: &ForecastJob<'_, E, A>) -> Result<(), String> {
+    let layers = job.agent.networks().iter().map(|(_, network)| network.sizes().len() - 2).max().unwrap_or(0);
+    if layers != 2 {
+        return Err(format!("the kernels have networks of two hidden layers, and this learner's have {layers}"));
+    }
+    if job.practice.is_some() {
+        return Err("the kernels do not practise in the world".to_owned());
+    }
+    A::has(job)
 }
 
 /// Trains the futures of one run at a desk.
@@ -110,7 +123,7 @@ impl<E, A: OnDevice> Forecaster<E, A> for GpuForecaster<A> {
         if self.jobs.len() != jobs.len() || !self.jobs.iter().zip(jobs).all(|(known, job)| known.is(job)) {
             self.forget();
             // Whoever brings a trainer of their own has not asked what a run is asked.
-            if let Some(why) = jobs.iter().find_map(|job| A::has(job).err()) {
+            if let Some(why) = jobs.iter().find_map(|job| on_device(job).err()) {
                 return Poll::Ready(Err(ForecastError::BackEnd(why)));
             }
             self.jobs = jobs.iter().map(Identity::new).collect();

@@ -209,21 +209,6 @@ pub fn supports(config: &Config) -> Result<(), String> {
     Ok(())
 }
 
-/// The same of one job.
-///
-/// # Errors
-/// Why not.
-pub fn has<E, const N: usize>(job: &ForecastJob<'_, E, Td3<N>>) -> Result<(), String> {
-    let layers = job.agent.networks().iter().map(|(_, network)| network.sizes().len() - 2).max().unwrap_or(0);
-    if layers != 2 {
-        return Err(format!("the kernels have networks of two hidden layers, and this learner's have {layers}"));
-    }
-    if job.practice.is_some() {
-        return Err("the kernels do not practise in the world".to_owned());
-    }
-    Ok(())
-}
-
 /// What the jobs of one check have in common.
 #[derive(Debug)]
 struct Common {

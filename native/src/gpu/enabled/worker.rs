@@ -269,13 +269,17 @@ struct Running {
     training: Training,
     tickets: Vec<Arc<Ticket>>,
     done: u32,
-    /// Updates that it may make in the next slice: how long its updates take is seen first.
+    /// Bytes of its largest job.
+    size: u64,
+    /// Updates that it may make in the next slice.
     slice: u32,
 }
 
 impl Running {
-    fn new(training: Training, tickets: Vec<Arc<Ticket>>) -> Self {
-        Self { training, tickets, done: 0, slice: FIRST_SLICE }
+    /// What is larger than all that was timed, up to `familiar` bytes, has to show first how long its updates take.
+    fn new(training: Training, tickets: Vec<Arc<Ticket>>, size: u64, familiar: u64) -> Self {
+        let slice = if size > familiar { FIRST_SLICE } else { u32::MAX };
+        Self { training, tickets, done: 0, size, slice }
     }
 
     fn is_done(&self) -> bool {
@@ -313,12 +317,14 @@ struct Worker {
     arrived: VecDeque<Arrival>,
     running: Vec<Running>,
     slice: u32,
+    /// Bytes of the largest job whose updates were timed.
+    familiar: u64,
 }
 
 impl Worker {
     fn new(device: Device, room: Arc<Room>) -> Self {
         let (ddqn, arrived) = (Pool::new(&device), VecDeque::new());
-        Self { device, room, ddqn, td3: None, arrived, running: Vec::new(), slice: FIRST_SLICE }
+        Self { device, room, ddqn, td3: None, arrived, running: Vec::new(), slice: FIRST_SLICE, familiar: 0 }
     }
 
     fn work(mut self) {
@@ -404,7 +410,8 @@ impl Worker {
         if !packed.is_empty() {
             let kernel = self.td3.get_or_insert_with(|| td3::Kernel::new(&self.device));
             let training = Training::Batch(td3::Batch::new(&self.device, kernel, &packed));
-            self.running.push(Running::new(training, tickets));
+            let size = packed.iter().map(|job| job.bytes()[0]).max().unwrap_or(0);
+            self.running.push(Running::new(training, tickets, size, self.familiar));
         }
     }
 
@@ -430,8 +437,9 @@ impl Worker {
                 }
                 break;
             };
-            let tickets = self.arrived.pop_front().map(|arrival| arrival.tickets).unwrap_or_default();
-            self.running.push(Running::new(Training::Check(check), tickets));
+            let Arrival { jobs, tickets } = self.arrived.pop_front().unwrap_or_default();
+            let size = jobs.iter().map(|job| job.bytes()[0]).max().unwrap_or(0);
+            self.running.push(Running::new(Training::Check(check), tickets, size, self.familiar));
         }
         Ok(())
     }
@@ -463,6 +471,7 @@ impl Worker {
             let share = SLICE.as_secs_f64() / start.elapsed().as_secs_f64().max(1e-6);
             let next = ((f64::from(most) * share.clamp(0.25, 2.0)) as u32).max(1);
             self.slice = if share < 1.0 { next } else { next.max(self.slice) };
+            self.familiar = self.running.iter().map(|running| running.size).fold(self.familiar, u64::max);
         }
         for running in &self.running {
             for ticket in &running.tickets {

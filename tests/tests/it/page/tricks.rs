@@ -473,3 +473,40 @@ fn a_newcomer_sees_a_refusal_sets_a_trap_and_hears_the_verdict() {
         assert!(seen[heard + 4].as_u64().unwrap() <= u64::from(walk.width), "{}: {}", walk.name, seen[heard + 4]);
     }
 }
+
+#[test]
+fn another_seed_of_a_recorded_world_is_one_of_that_world() {
+    let server = Server::start(None);
+    let come = "until:return document.getElementById('status').textContent.includes('are kept here')";
+    let commands = [
+        &format!("go:{}", at(&server, "?env=absent-supervisor")),
+        come,
+        // At once, before the form can know the world.
+        "eval:document.getElementById('another').click()",
+        "until:return location.search.includes('seed=')",
+        "eval:return location.search",
+    ];
+    let address = drive(&commands)[4].as_str().unwrap().to_owned();
+    // With the setting of the recording, which is not the world's own.
+    for part in ["env=absent-supervisor", "lr_reward=0.001", "seed=1"] {
+        assert!(address.contains(part), "{address}");
+    }
+}
+
+#[test]
+fn a_chosen_check_is_announced_and_fits_the_narrowest_screen() {
+    let server = Server::start(None);
+    let narrow = width(320);
+    let commands = [
+        HURRY,
+        &narrow,
+        &format!("go:{}", at(&server, "?tape=tapes/dead-model.json&check=285")),
+        "until:return document.querySelectorAll('#verdicts tr').length === 2",
+        "eval:document.querySelector('#verdicts tr[data-check=\"246\"]').click()",
+        "until:return document.getElementById('latest').textContent.startsWith('Step ')",
+        "eval:return [document.getElementById('latest').textContent, document.documentElement.scrollWidth]",
+    ];
+    let seen = drive(&commands)[6].clone();
+    assert!(seen[0].as_str().unwrap().ends_with("refused."), "{seen}");
+    assert!(seen[1].as_u64().unwrap() <= 320, "{seen}");
+}
