@@ -30,6 +30,8 @@ export function ledger(open) {
         : `${count("refused")} refused, ${count("accepted")} accepted; ${count("wrong")} of them wrong in truth.${hidden}`;
   };
 
+  const shown = () => [...rows.values()].filter(({ row }) => !row.hidden).map(({ check }) => check.number);
+
   return {
     clear() {
       rows.clear();
@@ -61,13 +63,12 @@ export function ledger(open) {
     },
     /** The neighbour of a check among those shown: 1 for the next, −1 for the one before. */
     beside(number, direction) {
-      const shown = [...rows.values()].filter(({ row }) => !row.hidden).map(({ check }) => check.number);
-      const found = shown.filter((other) => (number === null ? true : (other - number) * direction > 0));
+      const found = shown().filter((other) => (number === null ? true : (other - number) * direction > 0));
       return found.at(direction > 0 ? 0 : -1) ?? null;
     },
     /** The newest check of those shown. */
     newest() {
-      return [...rows.values()].filter(({ row }) => !row.hidden).at(-1)?.check.number ?? null;
+      return shown().at(-1) ?? null;
     },
   };
 }

@@ -691,7 +691,8 @@ element("controls").addEventListener("submit", (event) => {
 });
 element("controls").addEventListener("input", () => (run.edited = true));
 element("start").addEventListener("click", release);
-
+// The button is gone, and the focus with it.
+element("start").addEventListener("click", () => element("stop").focus());
 element("stop").addEventListener("click", () => {
   run.paused = !run.paused;
   computer.tell({ kind: run.paused ? "pause" : "resume" });
@@ -713,7 +714,7 @@ element("another").addEventListener("click", async () => {
   if (!element("seed").reportValidity()) return;
   run.edited = true;
   element("seed").value = String(BigInt.asUintN(64, BigInt(element("seed").value || "0") + 1n));
-  element("controls").requestSubmit();
+  if (await submit()) element("moment-title").focus();
 });
 
 element("slow").addEventListener("click", () => {

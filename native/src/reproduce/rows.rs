@@ -17,6 +17,11 @@ use crate::report::statistics::{Estimate, Verdicts, estimate, mean};
 const WIDTH: usize = 80;
 /// What the paper says of its own cost.
 const PAPER_COST: &str = "about 12 GPU-days (with Reacher)";
+/// What the columns of the gate's table are.
+const GATE_KEY: &str = "Precision: share of the refusals that were hacks. Recall: share of the checked hacks that were \
+                        refused. Never checked: hacks whose reward did not surprise (–: not recorded). Dead units: of the \
+                        reward model's first layer, at the end of Safe training and at the end. Cost: gradient updates, \
+                        forecasts included, per update of the ungated learner.";
 
 /// How a claim came out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -449,16 +454,19 @@ impl Results {
             text += &wrapped(&" ".repeat(17), &numbers, WIDTH);
         }
         if !self.worlds.is_empty() {
-            let line = |cells: [&str; 8]| {
-                let [world, checks, rate, precision, recall, ties, dead, updates] = cells;
-                format!("{world:<21}{checks:>8}{rate:>6}{precision:>11}{recall:>8}{ties:>6}{dead:>12}{updates:>8}\n")
+            let line = |cells: [&str; 9]| {
+                let [world, checks, rate, precision, recall, never, ties, dead, cost] = cells;
+                format!(
+                    "{world:<20}{checks:>7}{rate:>6}{precision:>10}{recall:>7}{never:>8}{ties:>6}{dead:>10}{cost:>6}\n"
+                )
             };
+            // The unit stands in the head, so that every column has a gap before it.
+            let percent = |share| percent(share).trim_end_matches(" %").to_owned();
             text.push('\n');
-            text += &line(["The gate", "checks", "rate", "precision", "recall", "ties", "dead units", "updates"]);
-            text += &line(["", "per seed", "", "", "", "", "Safe, end", "ratio"]);
+            text += &line(["The gate", "checks", "rate", "precision", "recall", "never", "ties", "dead", "cost"]);
+            text += &line(["", "a seed", "%", "%", "%", "checked", "", "units, %", "ratio"]);
             for row in &self.worlds {
-                let dead =
-                    row.dead_units.map(|share| share.map_or("–".to_owned(), |s| format!("{:.0} %", 100.0 * s)));
+                let dead = row.dead_units.map(|share| share.map_or("–".to_owned(), |s| format!("{:.0}", 100.0 * s)));
                 text += &line([
                     // A twin stands below its world.
                     if row.cell.ends_with(ALIVE) { "  reward model alive" } else { &row.world },
@@ -466,11 +474,13 @@ impl Results {
                     &percent(row.rate),
                     &percent(row.precision),
                     &percent(row.recall),
+                    &row.verdicts.hacks_unchecked.map_or("–".to_owned(), |count| count.to_string()),
                     &row.verdicts.ties.to_string(),
-                    &dead.join(" "),
+                    &dead.join(", "),
                     &row.slowdown.map_or("–".to_owned(), |ratio| format!("{ratio:.0}")),
                 ]);
             }
+            text += &wrapped("", GATE_KEY, WIDTH);
         }
         text += "\n";
         text += &wrapped("Cost: ", &self.cost_words(), WIDTH);

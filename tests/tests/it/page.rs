@@ -495,15 +495,17 @@ fn an_old_verdict_is_not_spoken_in_a_new_run() {
 #[test]
 fn an_embedded_page_shows_what_it_is_asked_for() {
     let server = Server::start(None);
-    let visible = "eval:return ['header', 'run', 'decision', 'results', 'ledger', 'drive', 'trap', 'explain', 'limits', 'footer'] \
-                   .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)";
+    // Where a part is hidden, so is the way to it.
+    let visible = "eval:const ways = [...document.querySelectorAll('.plays > *')].map((way) => way.checkVisibility()); \
+                   return [ways, ['header', 'run', 'decision', 'results', 'ledger', 'drive', 'trap', 'explain', 'limits', 'footer'] \
+                   .filter((id) => document.getElementById(id).getBoundingClientRect().height > 1)]";
     let embedded = format!("go:{}", at(&server, "?embed=1&hide=run,ledger"));
     let told = "eval:return [...document.querySelectorAll('[data-depth]')].filter((part) => part.checkVisibility()) \
                 .map((part) => part.dataset.depth)";
     let formal = format!("go:{}", at(&server, "?depth=formal&hide=run"));
     let seen = drive(&[HURRY, &embedded, TOLD, visible, &at(&server, "?hide=rin"), &formal, told]);
     assert_eq!(seen[6], serde_json::json!(["formal"]));
-    assert_eq!(seen[3], serde_json::json!(["decision", "results"]));
+    assert_eq!(seen[3], serde_json::json!([[true, false], ["decision", "results"]]));
     assert!(page(&seen[4]).error.starts_with("hide: rin is not a list of header, run,"), "{:?}", seen[4]["error"]);
 }
 
@@ -606,10 +608,12 @@ fn with_reduced_motion_nothing_moves_by_itself() {
     let done = "until:return document.getElementById('status').textContent.startsWith('Done')";
     let twice = "eval:const rows = [...document.querySelectorAll('#verdicts tr')].map((row) => row.dataset.check); \
                  return [rows.length > 3, rows.length - new Set(rows).size]";
-    let begin = "eval:document.getElementById('start').click()";
+    // The button goes, so the focus moves on.
+    let begin = "eval:document.getElementById('start').click(); return document.activeElement.id";
     let mut commands = vec![reduce, &address, framed, watch, later, quiet, stage, next, stage, &link, start, &wrong];
     commands.extend([complains, &address, framed, begin, done, twice]);
     let seen = drive(&commands);
+    assert_eq!(seen[15], "stop", "what has the focus after the start");
     assert_eq!(seen[17], serde_json::json!([true, 0]), "the recorded check makes room for the one derived here");
     assert_eq!(seen[5], serde_json::json!([0, 0]), "changes and animations before the visitor acts");
     assert_eq!((&seen[6], &seen[8]), (&"1 of 6: A surprise".into(), &"2 of 6: Copy the agent twice".into()));

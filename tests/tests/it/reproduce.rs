@@ -446,7 +446,12 @@ fn the_page_of_results_is_made_of_the_committed_records() {
     let (docs, results) = (root().join("docs"), root().join("results"));
     fs::copy(docs.join("results.md"), folder.join("results.md")).unwrap();
     let command = format!("reproduce all --evaluate --from {} -o results --page results.md", results.display());
-    ok(folder, &format!("{command} --bands bands.json"));
+    let said = ok(folder, &format!("{command} --bands bands.json"));
+    assert!(said.lines().filter(|line| !line.starts_with("Written")).all(|line| line.chars().count() <= 80), "{said}");
+    // No column of the gate's table touches the next one: behind each world's name are nine numbers.
+    let numbers = |line: &str| line.split_whitespace().filter(|word| !word.starts_with(char::is_alphabetic)).count();
+    let gate = said.lines().skip_while(|line| !line.starts_with("The gate")).skip(2).take(8);
+    assert_eq!(gate.map(numbers).collect::<Vec<_>>(), [9; 8], "{said}");
     let read = |path: &Path| fs::read_to_string(path).unwrap();
     let advice = "run: mcvl reproduce all --evaluate --from results -o docs/results --page docs/results.md \
                   --bands www/bands.json";

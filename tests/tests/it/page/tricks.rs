@@ -485,6 +485,8 @@ fn another_seed_of_a_recorded_world_is_one_of_that_world() {
         "eval:document.getElementById('another').click()",
         "until:return location.search.includes('seed=')",
         "eval:return location.search",
+        // The button is gone until there is a check again, so the focus moves to where that will be.
+        "until:return document.activeElement.id === 'moment-title'",
     ];
     let address = drive(&commands)[4].as_str().unwrap().to_owned();
     // With the setting of the recording, which is not the world's own.
