@@ -47,9 +47,9 @@ pub struct ReproduceArgs {
     /// Fewer seeds, and a tenth or less of the steps where a seed takes minutes: not the paper's setting
     #[arg(long)]
     quick: bool,
-    /// Seeds of every cell: 0..10 (the end is left out) or 1,5,9 [default: 0..10; in Reacher
-    /// 0..5, where checks are repeated 0, with --quick fewer]
-    #[arg(long, value_name = "LIST", value_parser = settings::seeds)]
+    /// Seeds of every cell: 10 (the first ten), 0..10 (the end is left out) or 1,5,9
+    /// [default: 10; in Reacher 5, where checks are repeated 1, with --quick fewer]
+    #[arg(long, value_name = "LIST", value_parser = settings::seeds_or_count)]
     seeds: Option<settings::SeedList>,
     /// Train this cell only; may be repeated
     #[arg(long, value_name = "CELL")]
@@ -108,7 +108,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     if arguments.dry_run {
         return dry_run(arguments, &standings, terminal);
     }
-    folder.check_place()?;
+    let before = folder.check_place()?;
     arguments.check_targets()?;
     if arguments.evaluate && standings.iter().all(|(_, standing)| standing.record.is_none()) {
         let there = folder.0.display();
@@ -163,8 +163,9 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
         }
     }
     let whole = |experiment: &Experiment| experiment.cells().iter().all(|cell| records.contains_key(cell.name));
+    let was_told = |experiment: &Experiment| before.iter().any(|id| id == experiment.id);
     let is_asked = |experiment: &Experiment| experiments.iter().any(|asked| asked.id == experiment.id);
-    let is_told = |experiment: &&Experiment| is_asked(experiment) || whole(experiment);
+    let is_told = |experiment: &&Experiment| is_asked(experiment) || whole(experiment) || was_told(experiment);
     let told: Vec<&Experiment> = table::EXPERIMENTS.iter().filter(is_told).collect();
     // Seeds that are asked for say nothing of what was measured before.
     let planned = |cell: &Cell| match records.get(cell.name) {
@@ -263,7 +264,12 @@ impl ReproduceArgs {
             add("--quick");
         }
         if let Some(seeds) = &self.seeds {
-            add(&format!("--seeds {}", seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(",")));
+            // A number alone would be a count.
+            let list = match seeds[..] {
+                [seed] => format!("{seed}..{}", seed + 1),
+                _ => seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(","),
+            };
+            add(&format!("--seeds {list}"));
         }
         self.only.iter().for_each(|cell| add(&format!("--only {cell}")));
         self.from.iter().for_each(|from| add(&format!("--from {}", shell_word(from))));

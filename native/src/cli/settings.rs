@@ -237,6 +237,15 @@ pub fn seeds(text: &str) -> Result<SeedList, String> {
     if seeds.is_empty() { Err(wrong()) } else { Ok(seeds) }
 }
 
+/// Parses `reproduce --seeds`: as [`seeds`], but a number alone is how many, from 0 on; one seed is `3..4`.
+pub fn seeds_or_count(text: &str) -> Result<SeedList, String> {
+    match text.parse::<u64>() {
+        Ok(0) => Err("0 seeds are none: write 10 for the first ten, or 0..1 for seed 0 alone".to_owned()),
+        Ok(count) => seeds(&format!("0..{count}")),
+        Err(_) => seeds(text),
+    }
+}
+
 /// Every setting with its meaning and default, for the long help.
 pub fn list() -> String {
     let mut text = String::from(

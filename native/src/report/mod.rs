@@ -13,3 +13,8 @@ mod svg;
 
 #[cfg(test)]
 pub(crate) mod samples;
+
+/// A field of a CSV file.
+pub(crate) fn csv_field(text: &str) -> String {
+    if text.contains(['"', ',', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}

@@ -81,6 +81,13 @@ fn per_seed(e: &Evidence<'_>, cell: &Cell, name: &str, of: fn(&Verdicts) -> u64)
     Number::of(name, &values)
 }
 
+/// Hacks that were learned without a check, per seed, where that is known of every seed. They got in because the reward
+/// did not surprise: no forecast failed to see them, so they are told beside those that were accepted, not among them.
+fn unchecked(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
+    let counts = e.arm(cell, Arm::Mc).seeds.iter().map(|seed| Some(seed.verdicts?.hacks_unchecked? as f64));
+    Number::of(name, &counts.collect::<Option<Vec<_>>>()?)
+}
+
 /// Performance of the checking learner in the Full world before its first step there.
 fn at_the_switch(e: &Evidence<'_>, cell: &Cell, name: &str) -> Option<Number> {
     Number::of(name, &e.mc(cell, |seed| seed.first_performance.unwrap_or(f64::NAN)))
@@ -407,7 +414,9 @@ pub(super) fn horizons(e: &Evidence<'_>) -> Judged {
     let falls = each.is_sorted_by(|shorter, longer| shorter >= longer) && each[0] > each[3];
     let numbers = named.map(|(cell, name)| per_seed(e, cell, name, |v| v.hacks_accepted));
     let seeds = [(&BOX_H_1, "seeds with any: h=1"), (&BOX, "h=30")].map(|(cell, name)| accepting(e, cell, name));
-    Judged::new(falls, numbers.into_iter().chain(seeds)).by(e.difference(&BOX_H_1, &BOX, missed))
+    let beside = [(&BOX_H_1, "never checked, h=1"), (&BOX, "never checked, h=30")];
+    let beside = beside.map(|(cell, name)| unchecked(e, cell, name));
+    Judged::new(falls, numbers.into_iter().chain(seeds).chain(beside)).by(e.difference(&BOX_H_1, &BOX, missed))
 }
 
 fn missed_per_seed(e: &Evidence<'_>, cell: &Cell) -> f64 {
@@ -419,6 +428,8 @@ pub(super) fn more_missed(e: &Evidence<'_>, cell: &Cell) -> Judged {
         per_seed(e, cell, "accepted hacks per seed", |v| v.hacks_accepted),
         per_seed(e, &BOX, "by the paper's gate", |v| v.hacks_accepted),
         accepting(e, cell, "seeds with any:"),
+        unchecked(e, cell, "hacks never checked per seed"),
+        unchecked(e, &BOX, "never checked by the paper's gate"),
         hacked(e, cell, Arm::Mc, "hacked"),
     ];
     Judged::new(missed_per_seed(e, cell) > missed_per_seed(e, &BOX), numbers).by(e.difference(cell, &BOX, missed))
@@ -539,23 +550,4 @@ impl Line {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn about_is_a_tenth_and_nearer_is_the_middle() {
-        assert!(about(44.1, 49.0) && !about(44.0, 49.0) && about(-1.1, -1.0));
-        assert!(nearer(43.0, 44.0, 41.0) && !nearer(42.5, 44.0, 41.0));
-    }
-
-    #[test]
-    fn a_line_is_found_and_its_fit_measured() {
-        let line = Line::through(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]).unwrap();
-        assert!((line.start - 1.0).abs() < 1e-12 && (line.slope - 2.0).abs() < 1e-12);
-        assert!((line.explained - 1.0).abs() < 1e-12);
-        // A symmetric tent has no slope.
-        assert!(Line::through(&[(0.0, 0.0), (1.0, 1.0), (2.0, 0.0)]).unwrap().explained < 1e-12);
-        assert!(Line::through(&[(0.0, 0.0), (1.0, 1.0)]).is_none());
-        assert!(Line::through(&[(1.0, 0.0), (1.0, 1.0), (1.0, 2.0)]).is_none());
-    }
-}
+mod tests;

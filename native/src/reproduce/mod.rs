@@ -18,4 +18,4 @@ pub mod table;
 
 pub use page::{BEGIN, END, markdown, put};
 pub use record::{ArmRecord, Curve, RECORD_SUFFIX, Record, SeedLeg};
-pub use rows::{Cost, Number, QUICK, Results, Row, Verdict, WorldRow, judge};
+pub use rows::{Cost, Number, QUICK, RESULTS_FORMAT, RESULTS_VERSION, Results, Row, Verdict, WorldRow, judge};

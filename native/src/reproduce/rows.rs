@@ -11,6 +11,7 @@ use super::cells::Cell;
 use super::record::Record;
 use super::table::{Experiment, unique};
 use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
+use crate::report::csv_field as csv;
 use crate::report::statistics::{Estimate, Verdicts, estimate, mean};
 
 /// Columns of a terminal.
@@ -23,6 +24,15 @@ const GATE_KEY: &str = "Precision: share of the refusals that were hacks. Recall
                         reward model's first layer, at the end of Safe training and at the end. Cost: gradient updates, \
                         forecasts included, per update of the ungated learner.";
 
+/// Version of `results.json`.
+pub const RESULTS_VERSION: u32 = 2;
+/// Its first field.
+pub const RESULTS_FORMAT: &str = "mcvl reproduce";
+
+/// Fewest seeds by which one mean is judged to be above another: of so many differences all are above 0 by chance in one
+/// case of sixteen, and the interval of a single one has no width.
+const PAIRS: usize = 4;
+
 /// How a claim came out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -31,7 +41,8 @@ pub enum Verdict {
     Holds,
     /// Otherwise.
     DoesNotHold,
-    /// As claimed in the mean over seeds, but the 95 % interval of the difference contains 0: chance may have done it.
+    /// As claimed in the mean over seeds, but the 95 % interval of the difference contains 0, or is of fewer than
+    /// [`PAIRS`] seeds: chance may have done it.
     Undecided,
     /// Every cell that it needs has finished seeds, but not all that are planned.
     Unfinished,
@@ -128,9 +139,9 @@ impl Judged {
     }
 
     /// The same where the finding is that one mean is above another: undecided unless the interval of their
-    /// `difference` over seeds is above 0. The difference joins the numbers.
+    /// `difference` over at least [`PAIRS`] seeds is above 0. The difference joins the numbers.
     pub fn by(self, difference: Option<Number>) -> Self {
-        let sure = difference.as_ref().is_some_and(|number| number.low > 0.0);
+        let sure = difference.as_ref().is_some_and(|number| number.low > 0.0 && number.count >= PAIRS);
         let outcome = match self.outcome {
             Ok(Verdict::Holds) if !sure => Ok(Verdict::Undecided),
             other => other,
@@ -145,7 +156,7 @@ impl Judged {
 }
 
 /// The records that a check reads. Every cell of its claim is there.
-pub struct Evidence<'a>(&'a BTreeMap<String, Record>);
+pub struct Evidence<'a>(pub(super) &'a BTreeMap<String, Record>);
 
 impl Evidence<'_> {
     /// The record of a cell.
@@ -362,8 +373,8 @@ pub fn judge(
     let cells = unique(experiments.iter().flat_map(|experiment| experiment.cells()));
     let there: Vec<&Record> = cells.iter().filter_map(|cell| records.get(cell.name)).collect();
     Results {
-        format: "mcvl reproduce".to_owned(),
-        version: 2,
+        format: RESULTS_FORMAT.to_owned(),
+        version: RESULTS_VERSION,
         quick,
         claims,
         worlds: there.iter().filter_map(|record| world(record)).collect(),
@@ -551,6 +562,41 @@ impl Results {
         }
         text
     }
+
+    /// The gate in each world as CSV, one line each; shares are fractions, what is not known is empty.
+    pub fn gate_csv(&self) -> String {
+        let mut text = String::from(
+            "world,cell,seeds,steps,checks,rate,refusals,hacks_refused,hacks_accepted,hacks_unchecked,honest_refused,\
+             precision,recall,recall_of_seeds,ties,hacks_tied,reused,forecast_updates,dead_units_safe,dead_units_end,\
+             updates_ratio\n",
+        );
+        for row in &self.worlds {
+            let v = &row.verdicts;
+            let _ = write!(text, "{},{},{},{},{}", csv(&row.world), row.cell, row.seeds, v.steps, v.checks);
+            let unchecked = v.hacks_unchecked.map_or(String::new(), |count| count.to_string());
+            let (rate, refused, accepted) = (field(row.rate), v.hacks_refused, v.hacks_accepted);
+            let _ = write!(text, ",{rate},{},{refused},{accepted},{unchecked},{}", v.refusals, v.honest_refused);
+            let _ = write!(text, ",{},{},{}", field(row.precision), field(row.recall), field(row.recall_of_seeds));
+            let [safe, end] = row.dead_units.map(field);
+            let (reused, cost, ratio) = (v.reused, v.cost, field(row.slowdown));
+            let _ = writeln!(text, ",{},{},{reused},{cost},{safe},{end},{ratio}", v.ties, v.hacks_tied);
+        }
+        text
+    }
+
+    /// What each cell cost as CSV, one line each; an unknown wall time is empty.
+    pub fn costs_csv(&self) -> String {
+        let mut text = String::from("cell,seconds,updates,machine\n");
+        for Cost { cell, seconds, updates, machine } in &self.costs {
+            let _ = writeln!(text, "{cell},{},{updates},{}", field(*seconds), csv(machine));
+        }
+        text
+    }
+}
+
+/// A number in a table that programs read; empty where there is none.
+fn field(value: Option<f64>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
 }
 
 /// How claims came out, counted: «3 of 5 claims hold, 1 does not, 1 is undecided».
@@ -577,11 +623,6 @@ const ALIVE: &str = "-alive";
 pub const QUICK: &str = "Quick: fewer seeds than the paper's ten, and in every world but Box Moving a tenth of the \
     steps and forecast updates, in Reacher a twentieth. This is not the paper's setting: a claim that does not hold \
     here may hold there.";
-
-/// A field of a CSV file.
-fn csv(text: &str) -> String {
-    if text.contains(['"', ',', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
-}
 
 #[cfg(test)]
 mod tests {
@@ -665,9 +706,9 @@ mod tests {
                 })
                 .count()
         };
-        for text in [results.claims_csv(), results.numbers_csv()] {
+        for text in [results.claims_csv(), results.numbers_csv(), results.gate_csv(), results.costs_csv()] {
             let columns = fields(text.lines().next().unwrap());
-            assert!(text.lines().count() > 2 && text.lines().all(|line| fields(line) == columns), "{text}");
+            assert!(text.lines().count() > 1 && text.lines().all(|line| fields(line) == columns), "{text}");
         }
     }
 

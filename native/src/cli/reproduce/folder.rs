@@ -12,7 +12,7 @@ use mcvl::reproduce::cells::Cell;
 use mcvl::reproduce::figures::DRAWINGS;
 use mcvl::reproduce::spread::{Measurement, Spread};
 use mcvl::reproduce::table::Experiment;
-use mcvl::reproduce::{BEGIN, END, RECORD_SUFFIX, Record, Results, markdown, put};
+use mcvl::reproduce::{BEGIN, END, RECORD_SUFFIX, RESULTS_FORMAT, RESULTS_VERSION, Record, Results, markdown, put};
 use mcvl::runs::{Lock, Manifest, Plan, Remote, RunDir, RunsError, State, write_atomic};
 use mcvl_core::config::Learner;
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,8 @@ use super::{ReproduceArgs, Wanted};
 
 /// Pixels per unit of the PNG figures: sharp on a screen.
 const SCALE: f32 = 2.0;
+/// Tables beside `results.json`, always written together with it.
+const TABLES: [&str; 4] = ["claims.csv", "numbers.csv", "gate.csv", "costs.csv"];
 /// What to do where a folder holds something other than what is wanted.
 const ADVICE: &str = "give the same --seeds, --quick and --from as before, or choose another folder with -o";
 
@@ -138,14 +140,44 @@ struct Begun {
 pub(super) struct Folder(pub PathBuf);
 
 impl Folder {
-    /// Checks that nothing of somebody else is overwritten: the folder is new or empty, or a set of experiments.
-    pub fn check_place(&self) -> anyhow::Result<()> {
+    /// Checks that nothing of somebody else is overwritten: the folder is new or empty, or a set of experiments that this
+    /// version of mcvl knows. The experiments that its tables tell, which go on being told.
+    pub fn check_place(&self) -> anyhow::Result<Vec<String>> {
+        #[derive(Deserialize)]
+        struct Head {
+            format: String,
+            version: u32,
+            #[serde(default)]
+            claims: Vec<Told>,
+        }
+        #[derive(Deserialize)]
+        struct Told {
+            experiment: String,
+        }
+        let path = self.0.join("results.json");
+        if path.exists() {
+            let text = fs::read(&path).map_err(RunsError::io("read", &path))?;
+            let why = match serde_json::from_slice::<Head>(&text) {
+                Ok(Head { format, version: 1..=RESULTS_VERSION, claims }) if format == RESULTS_FORMAT => {
+                    return Ok(claims.into_iter().map(|told| told.experiment).collect());
+                }
+                Ok(Head { format, version, .. }) if format == RESULTS_FORMAT => format!(
+                    "is of version {version}, this program writes version {RESULTS_VERSION}: use the version of mcvl that \
+                     wrote it, or choose another folder with -o"
+                ),
+                _ => "holds no results of mcvl reproduce: choose another folder with -o".to_owned(),
+            };
+            return Err(RunsError::damaged(&path, why).into());
+        }
+        // Before the first results there are cells or records alone.
         let is_ours = |name: &str| self.0.join(name).exists();
-        let free = RunDir::new(&self.0).is_free()?;
-        if !free && !["cells", "records", "results.json"].into_iter().any(is_ours) {
+        if !RunDir::new(&self.0).is_free()? && !["cells", "records"].into_iter().any(is_ours) {
             usage!("{} is not empty and holds no results of mcvl reproduce: choose another with -o", self.0.display());
         }
-        Ok(())
+        if let Some(path) = TABLES.iter().map(|name| self.0.join(name)).find(|path| path.exists()) {
+            usage!("{} is there, but no results of mcvl reproduce: choose another folder with -o", path.display());
+        }
+        Ok(Vec::new())
     }
 
     fn run(&self, cell: &Cell) -> RunDir {
@@ -401,8 +433,13 @@ impl Folder {
         let page = arguments.page.as_ref().map(|path| self.page(path, results)).transpose()?;
         fs::create_dir_all(&self.0).map_err(RunsError::io("create the folder", &self.0))?;
         let json = serde_json::to_string_pretty(results)? + "\n";
-        let mut texts =
-            vec![("results.json", json), ("claims.csv", results.claims_csv()), ("numbers.csv", results.numbers_csv())];
+        let mut texts = vec![
+            ("results.json", json),
+            ("claims.csv", results.claims_csv()),
+            ("numbers.csv", results.numbers_csv()),
+            ("gate.csv", results.gate_csv()),
+            ("costs.csv", results.costs_csv()),
+        ];
         if page.is_none() {
             texts.push(("results.md", format!("# Results\n\n{}", markdown(results, "."))));
         }
@@ -428,7 +465,8 @@ impl Folder {
             let path = self.0.join(drawing.name);
             write_atomic(&path.with_extension("svg"), figure.svg().as_bytes())?;
             write_atomic(&path.with_extension("png"), &figure.png(SCALE)?)?;
-            names.push(format!("{}.svg, .png", drawing.name));
+            write_atomic(&path.with_extension("csv"), figure.csv().as_bytes())?;
+            names.push(format!("{}.svg, .png, .csv", drawing.name));
         }
         written.insert(0, format!("{} ({})", self.0.display(), names.join(", ")));
         Ok(written)

@@ -6,12 +6,15 @@
 pub(super) mod axis;
 mod draw;
 
+use std::fmt::Write as _;
+
 use anyhow::{Context as _, ensure};
 use mcvl_core::config::Config;
 use mcvl_core::record::Arm;
 use resvg::{tiny_skia, usvg};
 
 use super::claims::Summary;
+use super::csv_field;
 use super::statistics::{self, CurvePoint, Estimate, Quantity};
 use crate::runs::RunSet;
 
@@ -119,6 +122,20 @@ impl Figure {
     /// The figure as an SVG that stands alone, on a light background.
     pub fn svg(&self) -> String {
         draw::figure(self, Layout::Row, false)
+    }
+
+    /// What is drawn, as CSV: a line for each point of each series.
+    pub fn csv(&self) -> String {
+        let mut text = String::from("panel,series,x,mean,low,high\n");
+        for panel in &self.panels {
+            for series in &panel.series {
+                let head = [&panel.title, &series.name].map(|name| csv_field(name)).join(",");
+                for Point { x, mean, low, high } in &series.points {
+                    let _ = writeln!(text, "{head},{x},{mean},{low},{high}");
+                }
+            }
+        }
+        text
     }
 
     /// The figure as a part of the report page, which brings its style and its colours.
