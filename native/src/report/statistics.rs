@@ -373,6 +373,25 @@ mod tests {
     }
 
     #[test]
+    fn every_count_is_added() {
+        // No two fields alike, so that none is left out or taken for another.
+        let counts = |unit: u64| Verdicts {
+            steps: unit,
+            checks: 2 * unit,
+            refusals: 3 * unit,
+            hacks_refused: 4 * unit,
+            hacks_accepted: 5 * unit,
+            honest_refused: 6 * unit,
+            ties: 7 * unit,
+            hacks_tied: 8 * unit,
+            hacks_unchecked: Some(9 * unit),
+            reused: 10 * unit,
+            cost: 11 * unit,
+        };
+        assert_eq!(counts(1).plus(counts(100)), counts(101));
+    }
+
+    #[test]
     fn without_checks_the_rates_are_absent_not_nan() {
         let none = Verdicts::count([], 0);
         assert_eq!((none.precision(), none.recall(), none.rate()), (None, None, None));
