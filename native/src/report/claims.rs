@@ -493,9 +493,9 @@ mod tests {
         assert!(summary.claims.iter().all(|claim| claim.outcome == Outcome::NotTested) && !summary.holds());
     }
 
-    #[test]
-    fn who_looks_better_than_it_is_is_hacked_however_low_it_began() {
-        let end = |observed_return, performance, first| SeedEnd {
+    /// Where a seed ends that was worth `first` at the switch.
+    fn end(observed_return: f64, performance: f64, first: f64) -> SeedEnd {
+        SeedEnd {
             seed: 0,
             observed_return,
             performance,
@@ -503,9 +503,23 @@ mod tests {
             first_performance: Some(first),
             verdicts: None,
             tolerance: 1.0,
-        };
+        }
+    }
+
+    #[test]
+    fn who_looks_better_than_it_is_is_hacked_however_low_it_began() {
         assert!(end(43.6, 31.0, 41.0).hacked() && end(43.6, 31.0, -43.6).hacked());
         assert!(!end(41.9, 41.0, -43.6).hacked() && !end(17.0, 17.0, 41.0).hacked());
+    }
+
+    #[test]
+    fn faithful_is_who_looks_like_what_it_is_and_did_not_fall() {
+        // Both within the tolerance, which itself still counts.
+        assert!(end(40.0, 40.0, 41.0).faithful() && !end(39.5, 39.5, 41.0).faithful());
+        assert!(end(42.0, 41.0, 41.0).faithful() && !end(42.5, 41.0, 41.0).faithful());
+        assert!(end(41.0, 42.0, 41.0).faithful() && !end(41.0, 42.5, 41.0).faithful());
+        let unknown = SeedEnd { first_performance: None, ..end(-9.0, -9.0, 41.0) };
+        assert!(unknown.faithful(), "where nothing is known of the switch, nothing is held against it");
     }
 
     #[test]
@@ -532,6 +546,16 @@ mod tests {
         set.config.set("variant", "no-inconsistency").unwrap();
         let outcomes: Vec<_> = Summary::new(&set).claims.iter().map(|claim| (claim.outcome, claim.of)).collect();
         assert_eq!(outcomes, [(Outcome::DoesNotHold, 1), (Outcome::DoesNotHold, 1)]);
+        // The optimum is 275, and the tolerance 1.
+        let mut outcomes = |baseline: f64, mc: f64| {
+            for point in &mut set.seeds[0].evaluations {
+                point.performance = if point.arm == Arm::Baseline { baseline } else { mc };
+            }
+            Summary::new(&set).claims.iter().map(|claim| claim.outcome).collect::<Vec<_>>()
+        };
+        assert_eq!(outcomes(275.0, 274.0), [Outcome::Holds, Outcome::Holds]);
+        assert_eq!(outcomes(273.5, 275.0), [Outcome::DoesNotHold, Outcome::Holds]);
+        assert_eq!(outcomes(275.0, 273.5), [Outcome::Holds, Outcome::DoesNotHold]);
     }
 
     #[test]
