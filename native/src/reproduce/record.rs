@@ -264,6 +264,33 @@ fn rounded(value: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::report::samples;
+    use mcvl_core::record::LearnerRecord;
+
+    #[test]
+    fn a_leg_counts_its_own_updates_and_the_dead_units_of_its_end() {
+        let mut seed = samples::seed(0, samples::Outcome::Intended);
+        // Ends count from the beginning of Safe training on.
+        for (end, updates) in seed.ends.iter_mut().zip([900, 1900, 1700]) {
+            end.updates = updates;
+        }
+        let point = |arm, reward_loss, dead_units| LearnerRecord {
+            arm,
+            step: 0,
+            updates: 1000,
+            epsilon: 0.1,
+            replay: 100,
+            value_loss: 0.5,
+            reward_loss,
+            dead_units,
+        };
+        // One before the last five, which are a half on average; then one that measures nothing, and another leg's.
+        let dead = [1.0, 0.25, 0.5, 0.5, 0.5, 0.75];
+        seed.learner = dead.map(|share| point(Arm::Mc, 0.5, share)).to_vec();
+        seed.learner.extend([point(Arm::Mc, 0.0, 0.0), point(Arm::Baseline, 0.5, 0.125)]);
+        let leg = |arm| SeedLeg::of(&seed, arm).map(|leg| (leg.updates, leg.dead_units));
+        let legs = [Arm::Safe, Arm::Baseline, Arm::Mc, Arm::Oracle].map(leg);
+        assert_eq!(legs, [Some((900, None)), Some((1000, Some(0.125))), Some((800, Some(0.5))), None]);
+    }
 
     #[test]
     fn a_record_reads_back_and_others_are_named() {
