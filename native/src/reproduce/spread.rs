@@ -223,9 +223,22 @@ mod tests {
     }
 
     #[test]
+    fn paired_futures_that_learn_nothing_differ_in_nothing() {
+        let config = TINY.replace("forecast=30", "forecast=0").parse().unwrap();
+        let mut found = empty();
+        let ended = Measurement::new(&config, EXTENT).go_on(&mut found, 1, &|| false, |_| Ok::<(), RunError>(()));
+        assert_eq!((ended, found.checks.len()), (Ok(true), 3));
+        // The same learner twice: what is left is chance, and of that pairs have the same.
+        let margins = |of: fn(&CheckSpread) -> &Margins| found.checks.iter().flat_map(move |check| &of(check).margins);
+        assert_eq!(margins(|check| &check.paired).copied().collect::<Vec<_>>(), [0.0; 15]);
+        assert!(margins(|check| &check.unpaired).any(|margin| *margin != 0.0));
+    }
+
+    #[test]
     fn margins_are_summarised() {
         let margins = Margins::new(vec![1.0, 3.0, 5.0, -1.0], 1);
         assert_eq!((margins.mean, margins.minority), (2.0, 0.25));
+        assert_eq!(Margins::new(margins.margins.clone(), 3).minority, 0.25, "three of four are most");
         assert!((margins.deviation - (20.0f64 / 3.0).sqrt()).abs() < 1e-12);
     }
 }
