@@ -200,6 +200,19 @@ mod tests {
     }
 
     #[test]
+    fn a_header_belongs_to_its_state() {
+        let folder = mcvl_tests::scratch();
+        let path = folder.path().join("state.snapshot");
+        let run = Run::new(&"env=box-moving seed=7".parse().unwrap());
+        let header = |seed| Header { config: run.config().with_seed(seed).to_string(), ..header() };
+        fs::write(&path, encode(&header(7), &run.snapshot())).unwrap();
+        assert!(Checkpoint::read(&path).is_ok());
+        fs::write(&path, encode(&header(4), &run.snapshot())).unwrap();
+        let error = Checkpoint::read(&path).err().unwrap().to_string();
+        assert!(error.contains("its header and its state are of different runs"), "{error}");
+    }
+
+    #[test]
     fn another_version_is_named() {
         let mut bytes = encode(&header(), b"state");
         bytes[MAGIC.len()] = 9;

@@ -306,3 +306,44 @@ impl Recorder for Tee<'_> {
         self.watcher.event(event);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::runs::RunDir;
+    use std::path::Path;
+
+    #[test]
+    fn a_state_of_another_run_is_not_gone_on_with() {
+        let folder = mcvl_tests::scratch();
+        let config: Config = "env=box-moving hidden=8 seed=7".parse().unwrap();
+        let learners = vec![Learner::Baseline, Learner::Mc];
+        let dir = RunDir::new(folder.path()).seed(7);
+        let logs = SeedWriter::create(&dir, &config).and_then(|mut writer| writer.sync()).unwrap();
+        // Why a seed cannot go on whose state and switch have these seeds; none where it can.
+        let refused = |finished: usize, agent: Learner, state: u64, switch: u64| {
+            let write = |path: &Path, seed| {
+                let run = Run::new(&config.with_agent(agent).with_seed(seed));
+                Checkpoint::write(path, finished, &logs, &run).unwrap();
+            };
+            write(&dir.state(), state);
+            write(&dir.switch(), switch);
+            let job = Job { config: config.clone(), learners: learners.clone(), dir: dir.clone() };
+            job.resume(false).err().map(|error| error.to_string())
+        };
+        assert_eq!(refused(0, Learner::Baseline, 7, 7), None);
+        assert_eq!(refused(1, Learner::Baseline, 7, 7), None);
+        assert_eq!(refused(2, Learner::Mc, 7, 7), None);
+        assert_eq!(refused(3, Learner::Mc, 7, 7), None);
+        for (path, finished, agent, state, switch) in [
+            (dir.state(), 1, Learner::Baseline, 4, 7),
+            (dir.state(), 1, Learner::Mc, 7, 7),
+            (dir.state(), 4, Learner::Mc, 7, 7),
+            (dir.switch(), 1, Learner::Baseline, 7, 4),
+        ] {
+            let why = refused(finished, agent, state, switch).unwrap_or_default();
+            let expected = format!("{}: is of another run than run.toml describes", path.display());
+            assert_eq!(why, expected, "{finished} {agent:?} {state} {switch}");
+        }
+    }
+}
