@@ -136,3 +136,28 @@ fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification)
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mcvl_core::config::Learner;
+    use std::fs;
+
+    #[test]
+    fn a_finished_run_knows_all_of_its_seeds() {
+        let folder = mcvl_tests::scratch();
+        let run = RunDir::new(folder.path());
+        let config = "env=box-moving".parse().unwrap();
+        let plan = Plan { config, seeds: vec![0, 3], learners: vec![Learner::Mc], settings: Vec::new() };
+        fs::write(run.plan(), plan.to_toml()).unwrap();
+        fs::create_dir(run.seed(0).path()).unwrap();
+        fs::write(run.seed(0).metrics(), "").unwrap();
+        let found = |state, seeds: &[u64]| {
+            Manifest::begin().write(&run, state, seeds).unwrap();
+            verify(&run).unwrap().findings
+        };
+        assert_eq!(found(State::Interrupted, &[0]), []);
+        let what = "not in the manifest, though the run is finished".to_owned();
+        assert_eq!(found(State::Finished, &[0]), [Finding { file: "seed-3".to_owned(), what }]);
+    }
+}
