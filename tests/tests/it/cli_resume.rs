@@ -161,11 +161,9 @@ fn a_second_signal_aborts() {
     for name in ["-STOP", "-INT", "-TERM", "-CONT"] {
         signal(&child, name);
     }
-    let begun = Instant::now();
     let mut said = String::new();
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     // The first signal alone would have saved the state and said how to go on.
     assert!(said.contains("once more to abort") && !said.contains("continue with"), "{said}");
 }
