@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use mcvl_core::rng::Rng;
 use mcvl_tests::{mcvl, scratch};
 
-use crate::cli::{Answer, ask, ask_all, assert_same, finished, ok, program};
+use crate::cli::{Answer, ask, ask_all, assert_same, content, copy, finished, ok, program};
 
 const TRAIN: &str = "train box-moving --seeds 4,7 -j 2 -o run --checkpoint-every 10ms";
 const RESUME: &str = "train box-moving -o run -j 2 --checkpoint-every 10ms --resume";
@@ -145,6 +145,25 @@ fn a_dry_run_of_what_goes_on_is_about_that_run() {
         let answer = ask(folder, &format!("train box-moving {arguments}"));
         assert_eq!((answer.code, answer.stderr.contains(why)), (2, true), "{}", answer.stderr);
     }
+}
+
+#[test]
+fn a_seed_does_not_go_on_from_the_state_of_another() {
+    let folder = scratch();
+    let folder = folder.path();
+    let mut child = begin(folder, TRAIN);
+    let seeds = ["seed-4", "seed-7"].map(|seed| folder.join("run").join(seed));
+    seeds.iter().for_each(|seed| wait_for(&seed.join("steps.csv")));
+    signal(&child, "-TERM");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    // All of it, so that the state fits the logs beside it.
+    fs::remove_dir_all(&seeds[1]).unwrap();
+    copy(&seeds[0], &seeds[1]);
+    let before = content(&folder.join("run"));
+    let answer = ask(folder, RESUME);
+    let why = "run/seed-7/checkpoints/state.snapshot: is of another run than run.toml describes";
+    assert_eq!((answer.code, answer.stderr.contains(why)), (3, true), "{}", answer.stderr);
+    assert!(content(&folder.join("run")) == before, "nothing was changed, seed 4 did not go on either");
 }
 
 #[test]
