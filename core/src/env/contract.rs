@@ -167,7 +167,9 @@ mod tests {
     use super::*;
     use crate::env::box_moving::{BoxMoving, Variant};
     use crate::env::{Discrete, Step};
+    use alloc::rc::Rc;
     use alloc::string::ToString;
+    use core::cell::Cell;
 
     /// Box Moving with one rule broken.
     #[derive(Clone)]
@@ -176,6 +178,8 @@ mod tests {
         spec: EnvSpec,
         fault: &'static str,
         episodes: u32,
+        /// Steps of this world and all its copies.
+        shared: Rc<Cell<u32>>,
     }
 
     impl Environment for Broken {
@@ -216,6 +220,16 @@ mod tests {
             if self.fault == "forgets the last" && step.end.is_some() {
                 observation[1] = before;
             }
+            if self.fault == "unpayable" {
+                step.reward = f32::INFINITY;
+            }
+            if self.fault == "worth nothing known" {
+                step.performance = f32::NAN;
+            }
+            self.shared.set(self.shared.get() + 1);
+            if self.fault == "shares" {
+                step.reward = self.shared.get() as f32;
+            }
             step
         }
     }
@@ -223,13 +237,23 @@ mod tests {
     #[test]
     fn every_broken_rule_is_found() {
         let inner = BoxMoving::new(Variant::Full, true);
-        let broken = |fault| Broken { inner: inner.clone(), spec: inner.spec().clone(), fault, episodes: 0 };
+        let (spec_of, shared) = (inner.spec().clone(), Rc::default());
+        let broken = |fault| Broken {
+            inner: inner.clone(),
+            spec: spec_of.clone(),
+            fault,
+            episodes: 0,
+            shared: Rc::clone(&shared),
+        };
         for (fault, word) in [
             ("draws", "draws no random number"),
             ("unwritten", "written whole"),
             ("half", "0 or 1"),
             ("forgets the last", "written whole"),
             ("endless", "ends by the step limit"),
+            ("unpayable", "reward and performance are finite"),
+            ("worth nothing known", "reward and performance are finite"),
+            ("shares", "a fork continues like its original"),
             ("remembers", "reset forgets"),
             ("other model", "and its model"),
         ] {
@@ -247,6 +271,16 @@ mod tests {
             world.spec.actions = actions;
             spec(&world).unwrap_err().to_string()
         };
+        assert_eq!(of(ActionSpec::Discrete(&["on"; 257])), "actions are numbered in one byte: 257 actions");
+        let mut many = broken("none");
+        many.spec.actions = ActionSpec::Discrete(&["on"; 256]);
+        spec(&many).unwrap();
+        for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let mut world = broken("none");
+            world.spec.reward_scale = scale;
+            let violation = spec(&world).unwrap_err().to_string();
+            assert_eq!(violation, alloc::format!("the reward scale is positive: {scale}"));
+        }
         let names: &[&str] = &["force"];
         let backwards = of(ActionSpec::Continuous { names, low: 1.0, high: -1.0 });
         assert_eq!(backwards, "the lower bound of actions is below the upper one, both finite: 1, -1");
