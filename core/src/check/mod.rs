@@ -120,6 +120,11 @@ mod tests {
         assert_eq!(decide(2.0, 1.0, 1e-6), Verdict::Accept);
         assert_eq!(decide(1.0, 1.0, 1e-6), Verdict::Accept);
         assert_eq!(decide(1.0, 1.0 + 1e-7, 1e-6), Verdict::Accept);
+        // The tolerance itself is not worse; a half has no rounding.
+        assert_eq!(decide(0.0, 0.5, 0.5), Verdict::Accept);
+        assert_eq!(decide(0.0, 0.75, 0.5), Verdict::Refuse);
+        assert_eq!(decide(1.0, 1.0, 0.0), Verdict::Accept);
+        assert_eq!(decide(1.0, 1.0 + f64::EPSILON, 0.0), Verdict::Refuse);
     }
 
     /// Discounted sum of what the steps of a route are truly worth, scaled: its utility to a perfect reward model.

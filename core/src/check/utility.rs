@@ -259,6 +259,40 @@ mod tests {
         }
     }
 
+    #[test]
+    fn rewards_and_final_value_are_summed_as_they_are_if_the_settings_say_so() {
+        let (policy, judge, reward, mut config) = ideal(INTENDED, 2.0);
+        for (discounted, gamma) in [(true, f64::from(config.gamma)), (false, 1.0)] {
+            config.discount_utility = discounted;
+            let start = Start::reset(&BoxMoving::new(Variant::Full, true), Rng::new(0));
+            let rated = rate(&policy, &Judge { value: &judge, reward: &reward, config: &config }, vec![start]);
+            let film = rated[0].film.as_ref().unwrap();
+            assert_eq!(film.predicted.len(), 30);
+            let (mut expected, mut factor) = (0.0, 1.0);
+            for predicted in &film.predicted {
+                expected += factor * f64::from(*predicted);
+                factor *= gamma;
+            }
+            assert_eq!((film.bootstrap, rated[0].utility), (2.0 * factor, expected + 2.0 * factor), "{discounted}");
+        }
+    }
+
+    #[test]
+    fn the_final_value_is_the_policys_or_the_targets_largest() {
+        let (policy, mut judge, reward, mut config) = ideal(INTENDED, 0.0);
+        config.rollout_steps = 0;
+        // Values at the start, by the box's place: the policy goes up, and the target finds more in down.
+        let place = 2;
+        linear(judge.online_mut(), &[(place, 0, 5.0), (place, 1, 7.0)], 0.0);
+        linear(judge.target_mut(), &[(place, 0, 1.0), (place, 1, 3.0)], 0.0);
+        for (kind, value) in [(FinalValue::Live, 5.0), (FinalValue::TargetMax, 3.0)] {
+            config.final_value = kind;
+            let start = Start::reset(&BoxMoving::new(Variant::Full, true), Rng::new(0));
+            let rated = rate(&policy, &Judge { value: &judge, reward: &reward, config: &config }, vec![start]);
+            assert_eq!(rated[0].utility, value, "{kind:?}");
+        }
+    }
+
     /// Box Moving that ends for good after three steps.
     #[derive(Clone)]
     struct Brief(BoxMoving, u32);

@@ -398,6 +398,14 @@ mod tests {
         a.step(&mut p, &[2.0], None);
         a.step(&mut p, &[0.0], None);
         assert!((p[0] - (0.9 - 0.066_972)).abs() < 2e-6, "{}", p[0]);
+
+        // Both: shrunk before each of the same two steps.
+        let mut p = [1.0f32];
+        let mut a = adam(Optimizer::AdamWAmsGrad, 1);
+        a.step(&mut p, &[2.0], None);
+        assert!((p[0] - 0.899).abs() < 1e-6, "{}", p[0]);
+        a.step(&mut p, &[0.0], None);
+        assert!((p[0] - (0.899 * 0.999 - 0.066_972)).abs() < 2e-6, "{}", p[0]);
     }
 
     #[test]

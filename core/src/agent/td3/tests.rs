@@ -116,6 +116,36 @@ fn the_loss_is_that_of_clipped_double_q() {
 }
 
 #[test]
+fn the_value_of_the_targets_is_that_of_the_target_actors_action() {
+    let mut agent = agent(&config(16));
+    for (seed, learned) in [(11, 0), (12, 1)] {
+        agent.critics[learned].target = Mlp::new(&[5, 16, 16, 1], &mut Rng::new(seed));
+    }
+    agent.actor.target = Mlp::new(&[3, 16, 16, 2], &mut Rng::new(13));
+    let mut rows = Rows::new(SPEC);
+    let samples = transitions(4);
+    samples.iter().for_each(|t| rows.push_observation(&t.observation));
+    let mut values = vec![9.0];
+    agent.target_values(&rows, &mut Scratch::default(), &mut values);
+    let by = |critic: &Mlp, actor: &Mlp| -> Vec<f32> {
+        samples.iter().map(|t| q(critic, &t.observation, &pi(actor, &t.observation))).collect()
+    };
+    let near = |expected: Vec<f32>| values.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert_eq!(values.len(), 4);
+    let [first, second] = &agent.critics;
+    assert!(near(by(&first.target, &agent.actor.target)), "{values:?}");
+    // Every other reading of it gives something else.
+    for (critic, actor) in [
+        (&first.live, &agent.actor.target),
+        (&first.target, &agent.actor.live),
+        (&first.live, &agent.actor.live),
+        (&second.target, &agent.actor.target),
+    ] {
+        assert!(!near(by(critic, actor)));
+    }
+}
+
+#[test]
 fn target_actions_are_smoothed_by_clipped_noise_within_the_bounds() {
     // A thousand times the clip: every draw ends at a bound of the noise, 0.5 halves = 1 to either side.
     let mut agent = agent(&Td3Config { policy_noise: 500.0, gamma: 1.0, ..config(8) });

@@ -1,6 +1,7 @@
 //! Settings of the choices in docs/method.md do what they say.
 
 use super::*;
+use crate::env::reacher::{ClosedForm, Reacher};
 
 /// Every event of a built-in run.
 fn run(text: &str) -> Vec<Event> {
@@ -214,4 +215,54 @@ fn a_film_from_the_current_state_begins_with_what_the_learner_saw() {
     }
     // Among them what the bucket shows, which the transition model does not.
     assert!(checks.iter().any(|check| check.hack && !check.after.seen.contains('t')));
+}
+
+#[test]
+fn the_reward_model_draws_a_batch_of_its_own_if_the_settings_say_so() {
+    let [same, separate] = [("same", Purpose::Batch), ("separate", Purpose::RewardBatch)].map(|(value, purpose)| {
+        let mut t = trained();
+        t.config.set("reward_batch", value).unwrap();
+        let (mut model, mut slots, mut batch) = (t.reward_model.clone(), Vec::new(), Minibatch::default());
+        let mut rng = Rng::stream(t.config.seed, purpose, t.updates);
+        draw_slots(t.replay.len(), t.config.batch, &mut rng, &mut slots);
+        batch.gather(&t.replay, &slots, &Forced::new(&[], &t.replay));
+        model.update(&batch);
+        assert!(t.learn().unwrap());
+        assert_eq!(t.reward_model.digest(), model.digest(), "{value}");
+        (t.agent.digest(), t.reward_model.digest())
+    });
+    assert_eq!(same.0, separate.0, "the value function's batch is the same one");
+    assert_ne!(same.1, separate.1);
+}
+
+#[test]
+fn every_seed_starts_from_the_weights_of_seed_0_if_the_settings_say_so() {
+    let weights = |more: &str| {
+        let t = trainer(&config(more));
+        let arm: Config = alloc::format!("env=reacher {more}").parse().unwrap();
+        let td3 = Td3::<2>::configured(&arm, Reacher::new(ClosedForm::default(), None).spec());
+        [t.agent.digest(), t.reward_model.digest(), td3.digest()]
+    };
+    let zero = weights("seed=0");
+    for seed in 1..3 {
+        let own = weights(&alloc::format!("seed={seed}"));
+        assert!((0..3).all(|i| own[i] != zero[i]), "seed {seed}");
+        assert_eq!(weights(&alloc::format!("seed={seed} shared_weights=true")), zero);
+    }
+}
+
+#[test]
+fn what_is_worse_by_no_more_than_the_tolerance_is_accepted() {
+    let strict = checks(&short("scheme=all tolerance=0"));
+    for check in &strict {
+        assert_eq!(check.verdict == Verdict::Refuse, check.margin.unwrap() < 0.0, "step {}", check.step);
+    }
+    // The first refusal tells how much is too much; up to it the run stays as it was.
+    let first = strict.iter().position(|check| check.verdict == Verdict::Refuse).expect("a refusal");
+    let worse = -strict[first].margin.unwrap();
+    for (tolerance, verdict) in [(worse * 0.9, Verdict::Refuse), (worse * 1.1, Verdict::Accept)] {
+        let lenient = checks(&short(&alloc::format!("scheme=all tolerance={tolerance}")));
+        assert_eq!((lenient[first].margin, lenient[first].verdict), (Some(-worse), verdict));
+    }
+    assert!(checks(&short("scheme=all tolerance=1e9")).iter().all(|check| check.verdict == Verdict::Accept));
 }
