@@ -1,6 +1,8 @@
 //! The loop as a whole, on Box Moving with short legs.
 
+mod chance;
 mod continuous;
+mod forced;
 mod learners;
 mod misfits;
 mod practice;
@@ -356,6 +358,67 @@ fn evaluations_are_evenly_spread_and_touch_nothing_live() {
     };
     let fewer = events(trainer(&config("evaluations=2")), u32::MAX, |_| {});
     assert_eq!(steps(&all), steps(&fewer));
+}
+
+#[test]
+fn evaluations_that_do_not_divide_a_leg_come_no_earlier_than_their_share_of_it() {
+    let due = |more: &str| -> Vec<u32> {
+        let mut t = trainer(&config(more));
+        t.arm = Arm::Mc;
+        (0..=t.steps()).filter(|step| t.evaluation_due(*step)).collect()
+    };
+    // Every 2.5 steps.
+    assert_eq!(due("full_steps=25 evaluations=10"), [0, 3, 5, 8, 10, 13, 15, 18, 20, 23, 25]);
+    // More points than steps: after each one.
+    assert_eq!(due("full_steps=3 evaluations=10"), [0, 1, 2, 3]);
+}
+
+/// Losses of the update that led from `before` to the replay buffer of `after`, made once more.
+fn losses(before: &Trainer<BoxMoving, Ddqn>, after: &Trainer<BoxMoving, Ddqn>) -> (f64, f64) {
+    let (replay, seed, draw) = (&after.replay, before.config.seed, before.updates);
+    let (mut slots, mut batch) = (Vec::new(), Minibatch::default());
+    draw_slots(replay.len(), before.config.batch, &mut Rng::stream(seed, Purpose::Batch, draw), &mut slots);
+    batch.gather(replay, &slots, &Forced::new(&[], replay));
+    let value = before.agent.clone().update(&batch, &mut Rng::stream(seed, Purpose::Update, draw));
+    (f64::from(value), f64::from(before.reward_model.clone().update(&batch)))
+}
+
+#[test]
+fn the_losses_of_an_evaluation_are_the_means_of_the_updates_since_the_last() {
+    for agent in ["baseline", "frozen-reward"] {
+        let mut t = trainer(&config(&alloc::format!("agent={agent}")));
+        let (mut value, mut reward) = (Vec::new(), Vec::new());
+        let mut seen = 0;
+        while t.status() != Status::Done {
+            let before = t.clone();
+            let mut told = None;
+            let mut note = |event: &Event| {
+                if let Event::Learner(learner) = event {
+                    told = Some(learner.clone());
+                }
+            };
+            t.poll(&mut CpuForecaster::default(), Budget(1), &mut note).unwrap();
+            if t.updates > before.updates {
+                let (of_value, of_reward) = losses(&before, &t);
+                value.push(of_value);
+                if t.arm != Arm::FrozenReward {
+                    reward.push(of_reward);
+                }
+            }
+            let mean = |losses: &mut Vec<f64>| {
+                let count = losses.len().max(1) as f64;
+                losses.drain(..).sum::<f64>() / count
+            };
+            if let Some(told) = told {
+                assert_eq!((told.arm, told.step, told.updates), (t.arm, t.step, t.updates));
+                seen += u32::from(value.len() > 1);
+                let means = (mean(&mut value), mean(&mut reward));
+                assert_eq!((told.value_loss, told.reward_loss), means, "{agent}, {:?} step {}", t.arm, t.step);
+            }
+        }
+        // 8 of the 10 points of Safe training come after updates, and all 10 of the Full leg.
+        assert_eq!(seen, 18, "{agent}");
+    }
 }
 
 #[test]
