@@ -26,6 +26,10 @@ use crate::env::grid::MAX_CELLS;
 use crate::env::trap::{Trap, Trapped};
 use crate::experiment::{self, Experiment, Optima};
 
+mod nearest;
+
+pub use nearest::{expected_one_of, nearest};
+
 /// Most weights between hidden layers: some 16 times the largest network of the paper.
 const MOST_PARAMETERS: u64 = 2_000_000;
 /// Most hidden activations of one batch.
@@ -761,33 +765,6 @@ impl<'de> serde::Deserialize<'de> for Config {
         // Snapshots of an application's own world come back too; as text only built-in worlds do.
         parse(&text, Self::start).map_err(serde::de::Error::custom)
     }
-}
-
-/// «`x` is none of a, b, c (did you mean `a`?)».
-pub fn expected_one_of(text: &str, names: &[&str]) -> String {
-    let hint = nearest(text, names).map_or(String::new(), |name| format!(", did you mean `{name}`?"));
-    format!("`{text}` is none of {}{hint}", names.join(", "))
-}
-
-/// The name nearest to `text`, if it is near enough to be what was meant.
-pub fn nearest<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
-    let (distance, name) = names.iter().map(|name| (edit_distance(text, name), *name)).min()?;
-    (distance <= 1 + name.chars().count() / 3).then_some(name)
-}
-
-/// Levenshtein distance.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = core::mem::replace(&mut row[0], i + 1);
-        for (j, cb) in b.iter().enumerate() {
-            let substituted = diagonal + usize::from(ca != *cb);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

@@ -33,7 +33,9 @@ fn mistakes_in_settings() {
     for (arguments, parts) in [
         ("train box-movin", &["did you mean `box-moving`?"][..]),
         ("train box-moving --scheme al", &["scheme: `al`", "did you mean `all`?"]),
+        ("train box-moving --scheme punishment", &["did you mean `punish`?"]),
         ("train box-moving --variant ful", &["did you mean `full`?"]),
+        ("train absent-supervisor --variant walls", &["did you mean `walls-removed`?"]),
         ("train box-moving --agent mcc", &["did you mean `mc`?"]),
         ("train box-moving --preset papr", &["did you mean `paper`?"]),
         ("train box-moving --set gama=1", &["unknown setting `gama`, did you mean `gamma`?"]),

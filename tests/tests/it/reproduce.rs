@@ -316,7 +316,9 @@ fn what_does_not_fit_is_said_and_left_alone() {
         assert!(answer.stderr.contains(part), "{arguments}\n{}", answer.stderr);
     };
     fails("reproduce fig6", 2, "`fig6` is none of all, fig3");
-    fails("reproduce E21", 2, "did you mean `E1`?");
+    fails("reproduce fig5a", 2, "did you mean `fig5`?");
+    // No experiment is near enough to another number.
+    fails("reproduce E21", 2, "E19, E20\n");
     fails("reproduce E8 --only box-l", 2, "--only: `box-l` is none of");
     fails("reproduce E8 --seeds x", 2, "is no list of seeds");
     fails("reproduce E8 --evaluate --from nowhere", 2, "there is no such folder");
