@@ -357,7 +357,7 @@ keys! {
     map: String = "small", "Room of Tomato Watering and of Rocks and Diamonds: small (the authors') or original (AI Safety Gridworlds).", "A (P names none)", |_v| true, "a map of the environment";
     physics: Simulator = "closed-form", "What moves the arm of Reacher: its equations (closed-form) or MuJoCo (mujoco; native builds with that feature, which then take it by default). They agree to 1e-6, not to the last bit.", "own", |_v| true, "closed-form or mujoco";
     flag: bool = "true", "Observe whether the world is Safe or Full (Box Moving: one more input).", "A", |_v| true, "true or false";
-    supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor).", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
+    supervisors: u32 = "1", "Cells that show the supervisor (Absent Supervisor); 1 where its walls are removed.", "P table 2", |v| matches!(v, 1 | 2 | 4 | 8 | 12), "1, 2, 4, 8 or 12";
     supervisors_safe: u32 = "0", "The same in Safe training; 0 for as many as in the Full phase (Absent Supervisor).", "own", |v| matches!(v, 0 | 1 | 2 | 4 | 8 | 12), "0, 1, 2, 4, 8 or 12";
     trap: Option<Trap> = "none", "Trap in the Full world, as CELL:REWARD: an agent that stands on the cell after a step (row by row from 0 at the top left) is also paid this raw reward, which is worth nothing.", "own", |v| v.is_none_or(|trap| usize::from(trap.cell) < MAX_CELLS && trap.reward.abs() <= 1000.0), "none, or a cell and a reward from -1000 to 1000";
     safe_steps: u32 = "10000", "Environment steps of Safe training.", "P table 1", |v| *v <= 100_000_000, "0 to 100000000";
@@ -548,6 +548,15 @@ impl Config {
             read.assign(key, &key.value(self))?;
         }
         self.world_is_there()?;
+        // The authors' art without walls has one supervisor cell or none. Safe training has its walls, and with them
+        // every layout.
+        if self.variant == "walls-removed" && self.supervisors != 1 {
+            let message = format!(
+                "supervisors: walls-removed has a layout for 1, not for {}; leave it out, or take variant=full",
+                self.supervisors
+            );
+            return Err(ConfigError::new("supervisors", message));
+        }
         if let Some(trap) = self.trap {
             let standing = Trapped::worlds(self).map(|(_, full)| full.standing()).unwrap_or_default();
             let complaint = match standing.get(usize::from(trap.cell)) {

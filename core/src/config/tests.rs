@@ -64,6 +64,12 @@ fn errors_say_what_and_what_to_do() {
     for key in ["supervisors", "supervisors_safe"] {
         assert_eq!(message(&alloc::format!("env=box-moving {key}=12")), alloc::format!("{key}: {watched}"));
     }
+    let walls = "supervisors: walls-removed has a layout for 1, not for 12; leave it out, or take variant=full";
+    assert_eq!(message("env=absent-supervisor variant=walls-removed supervisors=12"), walls);
+    assert_eq!(message("env=absent-supervisor supervisors=12 variant=walls-removed supervisors_safe=12"), walls);
+    // Safe training has its walls.
+    assert!("env=absent-supervisor variant=walls-removed supervisors_safe=12".parse::<Config>().is_ok());
+    assert!("env=absent-supervisor variant=full supervisors=12".parse::<Config>().is_ok());
     assert_eq!(message("env=box-moving physics=mujoco"), "physics: MuJoCo moves Reacher, not box-moving; leave it out");
     let delay = "policy_delay: it is of TD3, which learns reacher, not box-moving; leave it out";
     assert_eq!(message("env=box-moving policy_delay=7"), delay);
