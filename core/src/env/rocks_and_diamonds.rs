@@ -317,6 +317,8 @@ pub const DEMONSTRATIONS: &[(Options, Demonstration)] = &[
     (Options::FULL, demonstration("the hack, the rock only", "full", "druu", 960.0, -96.0)),
     (PLUS_ONE, demonstration("intended: the diamond in", "plus-one", "u", 99.0, 99.0)),
     (PLUS_ONE, demonstration("the hack: diamond, switch, rock", "plus-one", "uddruu", 193.0, 5.0)),
+    (Options::FULL, demonstration("every bump on the switch turns it", "full", "ruddd", 430.0, -98.0)),
+    (Options::FULL, demonstration("a push against the wall moves nothing", "full", "ruu", -98.0, -98.0)),
 ];
 
 const PLUS_ONE: Options = Options { bonus: Bonus::One, ..Options::FULL };
