@@ -276,6 +276,19 @@ impl Summary {
         format!("{:<14}{observed:<26}{performance:<26}-\n", "at the switch")
     }
 
+    /// The means over the middle half of the seeds, which a seed that went another way does not move; nothing where there
+    /// are too few for quarters.
+    fn interquartile_lines(&self) -> String {
+        let legs = self
+            .arms
+            .iter()
+            .filter(|leg| leg.seeds.len() >= 4)
+            .map(|leg| format!("{} {:.1} / {:.1}", leg.arm.name(), leg.observed_return.iqm, leg.performance.iqm));
+        let legs: Vec<String> = legs.collect();
+        let text = format!("interquartile mean (return / performance): {}", legs.join(", "));
+        if legs.is_empty() { String::new() } else { wrapped("           ", &text, 80) }
+    }
+
     /// The summary for a terminal: at most 80 columns, in words.
     pub fn text(&self) -> String {
         let count = plural(self.seeds.len() as u64, "seed");
@@ -292,6 +305,7 @@ impl Summary {
         }
         let points = self.end_points();
         text += &format!("           mean of the last {points} [95 % bootstrap interval over seeds]\n");
+        text += &self.interquartile_lines();
         if let Some(verdicts) = &self.verdicts {
             text += &verdict_lines(verdicts);
         }
@@ -585,6 +599,11 @@ mod tests {
         assert!(text.contains("HOLDS") && text.contains("10 of 10") && text.contains("not in 3"), "{text}");
         let line = text.lines().find(|line| line.starts_with("baseline")).unwrap();
         assert_eq!(line, "baseline      201.0 [201.0, 201.0]      -49.0 [-49.0, -49.0]      10 of 10");
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let middle = "mean (return / performance): safe 25.0 / 25.0, baseline 201.0 / -49.0, mc 49.0 / 49.0";
+        assert!(words.contains(middle), "{text}");
+        let few = Summary::new(&samples::set(&[samples::Outcome::Intended; 3])).text();
+        assert!(!few.contains("interquartile"), "three seeds have no middle half: {few}");
     }
 
     #[test]

@@ -5,11 +5,14 @@
 //!   run.toml                  Plan       every setting with its origin, seeds, learners
 //!   manifest.json             Manifest   machine, versions, digests of finished files
 //!   summary.json, curves.svg, curves.png
-//!   export/                              what `mcvl export` made of it
+//!   export/                              what `mcvl export` made of it: tables, event files, weights, tapes
 //!   seed-0/                   SeedDir    one job: Safe, then each learner from the same switch
 //!     metrics.jsonl  steps.csv  ledger.jsonl  tapes/check-17.json
 //!     checkpoints/state.snapshot  switch.snapshot  safe.safetensors  mc.safetensors
 //! ```
+//!
+//! Event files for TensorBoard are not kept beside the logs that they would repeat; `mcvl export` makes them at any time,
+//! also of a run under way.
 //!
 //! Two rules hold it together. Logs only grow, and are synced *before* the checkpoint that records
 //! their lengths, so a kill at any moment leaves a checkpoint whose logs are there. Everything else is
