@@ -48,7 +48,8 @@ const ROLLOUTS: u32 = 2;
 fn lottery() -> Vec<Event> {
     contract::check(&Lottery(0), 3).unwrap();
     let mut config = Config::custom(Preset::Paper);
-    let short = "safe_steps=40 full_steps=8 exploration=20 hidden=4 evaluations=2 scheme=all forecast=1 seed=5";
+    let short = "safe_steps=40 full_steps=8 exploration=20 hidden=4 evaluations=2 scheme=all forecast=1 \
+                 reset_on_refusal=false seed=5";
     let own = alloc::format!("evaluation_episodes={EPISODES} rollouts={ROLLOUTS} rollout_steps={}", Lottery::STEPS);
     for (key, value) in short.split(' ').chain(own.split(' ')).filter_map(|pair| pair.split_once('=')) {
         config.set(key, value).unwrap();
