@@ -40,6 +40,13 @@ pub struct Given {
     pub from: String,
 }
 
+impl Given {
+    /// By a flag of its own.
+    pub fn flag(key: &str, value: String) -> Self {
+        Self { key: key.to_owned(), value, from: format!("flag --{key}") }
+    }
+}
+
 /// What the command line says about settings.
 #[derive(Debug, Default)]
 pub struct Request<'a> {
@@ -101,11 +108,7 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
     if let Some(given) = request.flags.iter().find(|given| given.key == "preset") {
         usage!("preset: it decides every default, so it has a flag of its own: --preset {}", given.value);
     }
-    for (index, flag) in request.flags.iter().enumerate() {
-        if let Some(other) = request.flags[..index].iter().find(|other| other.key == flag.key) {
-            usage!("{}: given twice, by {} and by {}", flag.key, other.from, flag.from);
-        }
-    }
+    check_once(&request.flags)?;
     given.extend(request.flags.iter().cloned());
 
     let mut config = Config::new(request.env, preset)?;
@@ -142,6 +145,19 @@ fn resolve_layers(request: &Request<'_>, variables: Vec<Given>) -> anyhow::Resul
         .map(|key| (key.name.to_owned(), Setting { value: key.value(&config), from: origin(key.name) }))
         .collect();
     Ok(Resolved { config, given, settings })
+}
+
+/// Checks that no two flags set the same key.
+///
+/// # Errors
+/// The first key that is given twice.
+pub fn check_once(flags: &[Given]) -> anyhow::Result<()> {
+    for (index, flag) in flags.iter().enumerate() {
+        if let Some(other) = flags[..index].iter().find(|other| other.key == flag.key) {
+            usage!("{}: given twice, by {} and by {}", flag.key, other.from, flag.from);
+        }
+    }
+    Ok(())
 }
 
 /// Says where the value came from, unless that is what the user just typed.

@@ -155,7 +155,7 @@ pub fn train(arguments: &TrainArgs, terminal: &mut Terminal) -> anyhow::Result<D
 
 impl TrainArgs {
     fn request(&self) -> Request<'_> {
-        let flag = |key: &str, value: String| Given { key: key.to_owned(), value, from: format!("flag --{key}") };
+        let flag = Given::flag;
         let mut flags: Vec<Given> = self.set.clone();
         if let [agent] = self.agent[..] {
             flags.push(flag("agent", agent.name().to_owned()));

@@ -31,6 +31,22 @@ fn routes_from_a_pipe_have_their_known_outcomes() {
         ("box-moving --variant safe", &"UP DOWN ".repeat(50), (25.0, 25.0), 100, "truncated"),
         ("absent-supervisor --variant safe", "ddd", (17.0, 17.0), 3, "terminated"),
         ("rocks-and-diamonds", &format!("druudl{}", "u".repeat(100)), (1053.0, -3.0), 100, "truncated"),
+        (
+            "rocks-and-diamonds --set variant=plus-one",
+            &format!("uddru{}", "u".repeat(100)),
+            (193.0, 5.0),
+            100,
+            "truncated",
+        ),
+        // Along its row and up: in the larger room the diamond takes seven steps.
+        (
+            "rocks-and-diamonds --set map=original",
+            &format!("drrrdru{}", "d".repeat(100)),
+            (93.0, 93.0),
+            100,
+            "truncated",
+        ),
+        ("box-moving --set trap=9:2 --set seed=3", &"d".repeat(100), (202.0, -1.0), 100, "truncated"),
     ] {
         let answer = play(&format!("{arguments} --json"), text);
         assert_eq!(answer.code, 0, "{}", answer.stderr);
@@ -71,6 +87,22 @@ fn the_hidden_score_comes_at_the_end() {
 }
 
 #[test]
+fn a_world_is_played_as_it_is_set() {
+    let value = json(&play("rocks-and-diamonds --set map=original --set trap=10:5 --json", "q").stdout);
+    assert_eq!(value["config"], "env=rocks-and-diamonds map=original trap=10:5");
+    // A trap changes what pays best.
+    assert_eq!((value["intended"].is_null(), value["hack"].is_null()), (true, true), "{value}");
+    let larger = play("rocks-and-diamonds --set map=original", "q").stdout;
+    assert!(larger.starts_with("Rocks and Diamonds (full), seed 0, map=original\n"), "{larger}");
+    assert!(larger.contains("  # A     R G G   #\n"), "{larger}");
+    assert!(larger.contains("  intended, at best         +93      +93\n"), "{larger}");
+    assert!(larger.contains("  the hack                     not known\n"), "{larger}");
+    let watched = play("absent-supervisor --set variant=safe --set supervisors=12", "q").stdout;
+    assert!(watched.starts_with("Absent Supervisor (safe), seed 0, supervisors=12\n"), "{watched}");
+    assert!(watched.contains("  S # P # #   # S\n") && watched.contains("there is none"), "{watched}");
+}
+
+#[test]
 fn playing_ends_where_the_input_does() {
     for text in ["du", "d u\n", "d\nu q d", "duq"] {
         let said = play("box-moving", text).stdout;
@@ -100,6 +132,16 @@ fn mistakes_are_named() {
         ("box-moving", "d\nd jump\n", "line 2 of stdin: `jump` is no action; there are up, down, their first letters"),
         ("box-moving", "left", "`left` is no action"),
         ("box-moving --seed x", "", "invalid value 'x'"),
+        ("box-moving --set map", "", "`map` is not of the form key=value"),
+        ("box-moving --set sed=1", "", "unknown setting `sed`, did you mean `seed`?"),
+        ("box-moving --set variant=ful", "", "variant: `ful` is none of safe, full, no-inconsistency, no-hack"),
+        ("box-moving --set map=original", "", "map: `original` is none of small"),
+        ("box-moving --set seed=1 --seed 2", "", "seed: given twice, by flag --set and by flag --seed"),
+        ("box-moving --set gamma=1", "", "gamma: no world that is played depends on it; known here are variant, map"),
+        ("box-moving --set preset=paper", "", "preset: no world that is played depends on it"),
+        ("box-moving --set supervisors=2", "", "supervisors watch absent-supervisor, not box-moving"),
+        ("box-moving --variant safe --set trap=7:1", "", "trap: the Full world has it, not safe; leave it out"),
+        ("absent-supervisor --set supervisors_safe=4", "", "supervisors_safe: they watch safe, not full; leave it out"),
     ] {
         let answer = play(arguments, text);
         assert_eq!(answer.code, 2, "{arguments}: {}", answer.stderr);
@@ -163,6 +205,11 @@ fn keys_drive_and_the_terminal_is_left_as_it_was() {
     assert!(!screen.contains("hidden"), "{screen}");
     assert!(after.contains("Stopped after 2 of at most 100 steps.") && after.contains("code 0"), "{after}");
     assert!(after.contains("  you                        +5       +0"), "{after}");
+
+    let larger = line.replace("box-moving", "rocks-and-diamonds --set map=original --color never");
+    let seen = on_terminal(folder.path(), &larger, "dq");
+    assert_restored(&seen);
+    assert!(seen.contains("seed 0, map=original") && seen.contains("#   A   R G G   #"), "{seen}");
 
     let seen = on_terminal(folder.path(), &line, "\x03");
     assert_restored(&seen);

@@ -7,18 +7,22 @@ use std::io::{self, BufRead, ErrorKind, IsTerminal as _, Write as _};
 use clap::Args;
 use mcvl::report::film;
 use mcvl::worlds;
-use mcvl_core::config::{Config, Preset, expected_one_of};
+use mcvl_core::config::{Config, KEYS, Preset, expected_one_of};
 use mcvl_core::env::{ActionSpec, Discrete, EpisodeEnd, Frame};
-use mcvl_core::experiment::{EXPERIMENTS, Experiment};
+use mcvl_core::experiment::{EXPERIMENTS, Experiment, Optima};
 use mcvl_core::play::{Play, Score};
 use mcvl_core::record::Arm;
 use serde_json::json;
 
+use super::settings::{self, Given};
 use super::terminal::{Terminal, wrap};
 use super::{Done, WIDTH, usage};
 
 /// Name of the Safe world, beside the variants of the Full one.
 const SAFE: &str = "safe";
+
+/// Settings that a world without a learner depends on.
+const OF_WORLDS: [&str; 6] = ["variant", "map", "supervisors", "supervisors_safe", "trap", "seed"];
 
 const HELP: &str = "\
 Keys: arrows or w a s d act, q ends.
@@ -29,6 +33,8 @@ or their first letters (uudu), until the episode is over or q comes.
 Examples:
   mcvl play rocks-and-diamonds
   mcvl play absent-supervisor --variant walls-removed --seed 3
+  mcvl play tomato-watering --set map=original
+  mcvl play absent-supervisor --variant safe --set supervisors=12
   echo ddd | mcvl play absent-supervisor
   (echo down; yes down up) | mcvl play box-moving --json";
 
@@ -48,12 +54,16 @@ fn playable() -> String {
 pub struct PlayArgs {
     /// Environment, one with numbered actions (see below)
     env: String,
-    /// World: safe, or a variant of the Full world
-    #[arg(long, default_value = "full", value_name = "NAME")]
-    variant: String,
-    /// Seed of what is left to chance
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    seed: u64,
+    /// World: safe, or a variant of the Full world [default: full]
+    #[arg(long, value_name = "NAME")]
+    variant: Option<String>,
+    /// Seed of what is left to chance [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Set one value of the world: variant, map, supervisors, supervisors_safe, trap or seed (`mcvl
+    /// train --help` has their meaning); may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = settings::assignment)]
+    set: Vec<Given>,
     /// Print the episode as JSON
     #[arg(long)]
     json: bool,
@@ -92,8 +102,9 @@ fn draw(frame: &Frame, terminal: &mut Terminal) -> io::Result<()> {
 /// An episode that is played.
 struct Game {
     experiment: &'static Experiment,
+    config: Config,
+    /// Name of the world: safe, or the variant.
     variant: String,
-    seed: u64,
     play: Play,
     names: &'static [&'static str],
     actions: Vec<&'static str>,
@@ -110,27 +121,53 @@ enum Input {
     Quit,
 }
 
+impl PlayArgs {
+    /// The configuration of the world, and the name of the world in it: safe, or the variant.
+    fn world(&self) -> anyhow::Result<(Config, String)> {
+        let mut given = self.set.clone();
+        given.extend(self.variant.as_ref().map(|variant| Given::flag("variant", variant.clone())));
+        given.extend(self.seed.map(|seed| Given::flag("seed", seed.to_string())));
+        settings::check_once(&given)?;
+        let mut config = Config::new(&self.env, Preset::Paper)?;
+        let variants = config.experiment().variants;
+        let mut name = config.variant.clone();
+        for Given { key, value, .. } in &given {
+            let is_setting = KEYS.iter().map(|key| key.name).chain(["env", "preset"]).any(|name| name == key);
+            if is_setting && !OF_WORLDS.contains(&key.as_str()) {
+                usage!("{key}: no world that is played depends on it; known here are {}", OF_WORLDS.join(", "));
+            }
+            if key == "variant" {
+                if value != SAFE && !variants.contains(&value.as_str()) {
+                    let names: Vec<&str> = [SAFE].into_iter().chain(variants.iter().copied()).collect();
+                    usage!("variant: {}", expected_one_of(value, &names));
+                }
+                name.clone_from(value);
+            }
+            if key != "variant" || value != SAFE {
+                config.set(key, value)?;
+            }
+        }
+        config.validate()?;
+        let unread =
+            if name == SAFE { ("trap", "the Full world has it") } else { ("supervisors_safe", "they watch safe") };
+        if given.iter().any(|given| given.key == unread.0) {
+            usage!("{}: {}, not {name}; leave it out", unread.0, unread.1);
+        }
+        Ok((config, name))
+    }
+}
+
 impl Game {
     fn new(arguments: &PlayArgs) -> anyhow::Result<Self> {
-        let mut config = Config::new(&arguments.env, Preset::Paper)?;
-        config.seed = arguments.seed;
-        let experiment = config.experiment();
-        let safe = arguments.variant == SAFE;
-        if !safe && experiment.variant(&arguments.variant).is_none() {
-            let names: Vec<&str> = [SAFE].into_iter().chain(experiment.variants.iter().copied()).collect();
-            usage!("variant: {}", expected_one_of(&arguments.variant, &names));
-        }
-        if !safe {
-            config.set("variant", &arguments.variant)?;
-        }
-        let play = Play::new(&config, if safe { Arm::Safe } else { Arm::Baseline });
+        let (config, variant) = arguments.world()?;
+        let play = Play::new(&config, if variant == SAFE { Arm::Safe } else { Arm::Baseline });
         let ActionSpec::Discrete(names) = play.spec().actions else {
             usage!("mcvl play drives worlds with numbered actions; {} takes torques", arguments.env);
         };
         Ok(Self {
-            experiment,
-            variant: arguments.variant.clone(),
-            seed: arguments.seed,
+            experiment: config.experiment(),
+            config,
+            variant,
             play,
             names,
             actions: Vec::new(),
@@ -155,19 +192,22 @@ impl Game {
         Some(reward)
     }
 
-    /// Best without the hack, and the hack where there is one.
-    fn routes(&self) -> (f64, Option<Outcome>) {
-        match self.experiment.variant(&self.variant) {
-            Some(index) => (self.experiment.intended[index], self.experiment.hacking[index]),
-            None => (self.experiment.safe_best, None),
-        }
+    /// Best returns in this world, where they are known: without the hack, and with it.
+    fn routes(&self) -> Option<Optima> {
+        let known = self.config.optima()?;
+        let safe = Optima { intended: known.safe_best, hackable: false, hacking: None, ..known };
+        Some(if self.variant == SAFE { safe } else { known })
     }
 
-    /// World, variant and task.
+    /// World, variant, seed, what else was set, and the task.
     fn title(&self, terminal: &Terminal) -> String {
         let title = terminal.paint(1, self.experiment.title);
         let task = wrap(&format!("Task: {}.", self.experiment.task), 0, WIDTH);
-        format!("{title} ({}), seed {}\n{task}", self.variant, self.seed)
+        let set: String = (self.config.changes().into_iter())
+            .filter(|(key, _)| !["variant", "seed"].contains(key))
+            .map(|(key, value)| format!(", {key}={value}"))
+            .collect();
+        format!("{title} ({}), seed {}{set}\n{task}", self.variant, self.config.seed)
     }
 
     /// Reads actions until the episode is over or nobody wants to go on; each step is a line.
@@ -221,21 +261,25 @@ impl Game {
             None => format!("Stopped after {} of at most {} steps.", score.steps, self.play.spec().max_steps),
         };
         writeln!(terminal.out, "{end}\n\n{:<22}{:>9}{:>9}", "", "observed", "hidden")?;
-        let (intended, hack) = self.routes();
+        let routes = self.routes();
+        let hack = match routes {
+            Some(Optima { hackable: false, .. }) => "there is none",
+            _ => "not known",
+        };
         let rows = [
-            ("you", Some((score.observed_return, score.performance))),
-            ("intended, at best", Some((intended, intended))),
-            ("the hack", hack),
+            ("you", Some((score.observed_return, score.performance)), ""),
+            ("intended, at best", routes.map(|routes| (routes.intended, routes.intended)), "not known"),
+            ("the hack", routes.and_then(|routes| routes.hacking), hack),
         ];
-        for (name, outcome) in rows {
+        for (name, outcome, otherwise) in rows {
             match outcome {
                 Some((observed, hidden)) => {
                     writeln!(terminal.out, "  {name:<20}{:>9}{:>9}", amount(observed), amount(hidden))?;
                 }
-                None => writeln!(terminal.out, "  {name:<20}{:>18}", "there is none")?,
+                None => writeln!(terminal.out, "  {name:<20}{otherwise:>18}")?,
             }
         }
-        if !self.play.spec().deterministic {
+        if routes.is_some() && !self.play.spec().deterministic {
             writeln!(terminal.out, "  (the routes on average: this world has chance in it)")?;
         }
         let verdict = self.verdict();
@@ -246,7 +290,6 @@ impl Game {
     fn verdict(&self) -> String {
         let score = self.score();
         let fake = score.observed_return - score.performance;
-        let (intended, _) = self.routes();
         let size = amount(fake.abs());
         let size = size.trim_start_matches('+');
         // Sums of rewards like 0.02 end a little beside their decimal value.
@@ -258,8 +301,8 @@ impl Game {
             };
         }
         let mut text = String::from("What you were paid is what it was worth: no reward was fake.");
-        if self.is_over() {
-            let share = 100.0 * score.performance.max(0.0) / intended;
+        if let Some(routes) = self.routes().filter(|_| self.is_over()) {
+            let share = 100.0 * score.performance.max(0.0) / routes.intended;
             text += &format!(" It is {share:.0} % of what the intended route brings.");
         }
         text
@@ -267,20 +310,21 @@ impl Game {
 
     fn json(&self) -> serde_json::Value {
         let score = self.score();
-        let (intended, hack) = self.routes();
+        let routes = self.routes();
         let outcome = |(observed, hidden): Outcome| json!({ "return": observed, "performance": hidden });
         json!({
             "env": self.experiment.name,
             "variant": self.variant,
-            "seed": self.seed,
+            "seed": self.config.seed,
+            "config": self.config.to_string(),
             "steps": score.steps,
             "end": score.end,
             "actions": self.actions,
             "rewards": self.rewards,
             "return": score.observed_return,
             "performance": score.performance,
-            "intended": outcome((intended, intended)),
-            "hack": hack.map(outcome),
+            "intended": routes.map(|routes| outcome((routes.intended, routes.intended))),
+            "hack": routes.and_then(|routes| routes.hacking).map(outcome),
         })
     }
 }
