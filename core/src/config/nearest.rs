@@ -3,7 +3,6 @@
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
-use core::cmp::Reverse;
 
 /// Most edits that are a slip of the hand, whatever else the text looks like.
 const SLIP: usize = 2;
@@ -19,17 +18,24 @@ pub fn expected_one_of(text: &str, names: &[&str]) -> String {
 /// The name that `text` was meant to be, if one can be told: a slip away, else one that it begins with or that begins
 /// with it, else the nearest that is near enough. A number is no misspelling of another, so digits have to be the same.
 pub fn nearest<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
-    let digits = |of: &str| of.chars().filter(char::is_ascii_digit).collect::<String>();
-    let names = || names.iter().copied().filter(|name| digits(name) == digits(text));
-    let edits = |name: &str| edit_distance(text, name);
-    let shared = |name: &str| text.chars().zip(name.chars()).take_while(|(a, b)| a == b).count();
-    let within = |most: usize| {
-        let near = names().filter(|name| edits(name) <= most.min(1 + name.chars().count() / 3));
-        near.min_by_key(|name| (edits(name), Reverse(shared(name))))
-    };
-    let begins = |name: &&str| text.starts_with(name) || (text.chars().count() >= BEGINNING && name.starts_with(text));
-    let related = || names().filter(begins).min_by_key(|name| (Reverse(shared(name)), edits(name)));
-    within(SLIP).or_else(related).or_else(|| within(usize::MAX))
+    let digits = |of: &str| of.bytes().filter(u8::is_ascii_digit).collect::<Vec<u8>>();
+    // The least rank is meant: how it is alike, then how much.
+    let mut best: Option<([usize; 3], &str)> = None;
+    for name in names.iter().copied().filter(|name| digits(name) == digits(text)) {
+        let (edits, near) = (edit_distance(text, name), 1 + name.chars().count() / 3);
+        let apart = usize::MAX - text.chars().zip(name.chars()).take_while(|(a, b)| a == b).count();
+        let begins = text.starts_with(name) || (text.chars().count() >= BEGINNING && name.starts_with(text));
+        let rank = match edits {
+            0..=SLIP if edits <= near => [0, edits, apart],
+            _ if begins => [1, apart, edits],
+            _ if edits <= near => [2, edits, apart],
+            _ => continue,
+        };
+        if best.is_none_or(|(known, _)| rank < known) {
+            best = Some((rank, name));
+        }
+    }
+    best.map(|(_, name)| name)
 }
 
 /// Levenshtein distance.

@@ -127,8 +127,8 @@ fn hacked(configuration: &str) -> Option<(usize, usize)> {
 #[test]
 fn limits_say_what_was_recorded() {
     let page = fs::read_to_string(root().join("www/index.html")).unwrap().replace('\n', " ");
-    let record = record("env=box-moving variant=no-inconsistency").unwrap();
-    let seeds = checking(&record);
+    let honest = record("env=box-moving variant=no-inconsistency").unwrap();
+    let seeds = checking(&honest);
     let verdicts = |key: &str| seeds.iter().map(|seed| seed["verdicts"][key].as_u64().unwrap()).collect::<Vec<_>>();
     let (refusals, checks) = (verdicts("honest_refused"), verdicts("checks").iter().sum::<u64>());
     let from = |least: u64| refusals.iter().filter(|refusals| **refusals >= least).count();
@@ -144,6 +144,17 @@ fn limits_say_what_was_recorded() {
         checks % 1000
     );
     assert!(page.contains(&wrong), "{wrong}");
+    // Hacks that got in, with a check and without.
+    for (setting, more) in
+        [("rollout_steps=1", "all in one seed of ten"), ("reset_on_refusal=false", "2 of 10 seeds hacked")]
+    {
+        let record = record(&format!("env=box-moving {setting}")).unwrap();
+        let sum = |key: &str| checking(&record).iter().map(|seed| seed["verdicts"][key].as_u64().unwrap()).sum::<u64>();
+        let told = format!("accepted, {} unchecked, {more}.", sum("hacks_unchecked"));
+        assert!(page.contains(&told), "{told}");
+        let (before, accepted) = (page.split_once(&told).unwrap().0, sum("hacks_accepted").to_string());
+        assert!(before.rsplit(' ').take(5).any(|word| word == accepted), "{setting}: {accepted}");
+    }
     // Updates of a check with two forecasts.
     for (world, cost) in
         [("tape", "1,000"), ("tapes/tomato-watering", "10,000"), ("tapes/rocks-and-diamonds", "40,000")]
