@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::spread::Spread;
 use crate::report::claims::Summary;
 use crate::report::statistics::{self, END_POINTS, Estimate, Quantity, mean};
-use crate::runs::{Manifest, RunSet, RunsError, SeedRun, write_atomic};
+use crate::runs::{Manifest, RunSet, RunsError, SeedRun, State, write_atomic};
 
 /// First field of every record.
 const FORMAT: &str = "mcvl record";
@@ -111,7 +111,10 @@ impl Record {
         let planned = finished.iter().map(|seed| seed.seed).collect();
         let set = RunSet { path: set.path.clone(), config: set.config.clone(), planned, seeds: finished };
         let arms = Arm::ALL.into_iter().filter_map(|arm| ArmRecord::of(&set, arm)).collect();
-        Self { summary: Some(Summary::new(&set)), arms, ..Self::bare(cell, &set.config.to_string(), manifest) }
+        let bare = Self::bare(cell, &set.config.to_string(), manifest);
+        // The time of a session is counted when it ends.
+        let trained_ms = bare.trained_ms.filter(|_| manifest.state != State::Running);
+        Self { summary: Some(Summary::new(&set)), arms, trained_ms, ..bare }
     }
 
     /// The record of a measurement of spread.
@@ -290,6 +293,18 @@ mod tests {
         let leg = |arm| SeedLeg::of(&seed, arm).map(|leg| (leg.updates, leg.dead_units));
         let legs = [Arm::Safe, Arm::Baseline, Arm::Mc, Arm::Oracle].map(leg);
         assert_eq!(legs, [Some((900, None)), Some((1000, Some(0.125))), Some((800, Some(0.5))), None]);
+    }
+
+    #[test]
+    fn the_time_of_a_run_under_way_is_not_known() {
+        let mut manifest = Manifest::begin();
+        manifest.add_time(Duration::from_secs(7));
+        let of = |manifest: &Manifest| Record::of_run("box", &samples::ten(), manifest).trained_ms;
+        assert_eq!((manifest.state, of(&manifest)), (State::Running, None));
+        for state in [State::Interrupted, State::Finished, State::Diverged] {
+            manifest.state = state;
+            assert_eq!(of(&manifest), Some(7000), "{state:?}");
+        }
     }
 
     #[test]
