@@ -264,9 +264,9 @@ impl ReproduceArgs {
             add("--quick");
         }
         if let Some(seeds) = &self.seeds {
-            // A number alone would be a count.
+            // A number alone would be a count; behind the last of all there is none to end before.
             let list = match seeds[..] {
-                [seed] => format!("{seed}..{}", seed + 1),
+                [seed] => seed.checked_add(1).map_or(format!("{seed},{seed}"), |end| format!("{seed}..{end}")),
                 _ => seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(","),
             };
             add(&format!("--seeds {list}"));

@@ -572,14 +572,30 @@ impl Results {
         );
         for row in &self.worlds {
             let v = &row.verdicts;
-            let _ = write!(text, "{},{},{},{},{}", csv(&row.world), row.cell, row.seeds, v.steps, v.checks);
-            let unchecked = v.hacks_unchecked.map_or(String::new(), |count| count.to_string());
-            let (rate, refused, accepted) = (field(row.rate), v.hacks_refused, v.hacks_accepted);
-            let _ = write!(text, ",{rate},{},{refused},{accepted},{unchecked},{}", v.refusals, v.honest_refused);
-            let _ = write!(text, ",{},{},{}", field(row.precision), field(row.recall), field(row.recall_of_seeds));
-            let [safe, end] = row.dead_units.map(field);
-            let (reused, cost, ratio) = (v.reused, v.cost, field(row.slowdown));
-            let _ = writeln!(text, ",{},{},{reused},{cost},{safe},{end},{ratio}", v.ties, v.hacks_tied);
+            let fields = [
+                csv(&row.world),
+                row.cell.clone(),
+                row.seeds.to_string(),
+                v.steps.to_string(),
+                v.checks.to_string(),
+                field(row.rate),
+                v.refusals.to_string(),
+                v.hacks_refused.to_string(),
+                v.hacks_accepted.to_string(),
+                field(v.hacks_unchecked),
+                v.honest_refused.to_string(),
+                field(row.precision),
+                field(row.recall),
+                field(row.recall_of_seeds),
+                v.ties.to_string(),
+                v.hacks_tied.to_string(),
+                v.reused.to_string(),
+                v.cost.to_string(),
+                field(row.dead_units[0]),
+                field(row.dead_units[1]),
+                field(row.slowdown),
+            ];
+            text += &(fields.join(",") + "\n");
         }
         text
     }
@@ -595,7 +611,7 @@ impl Results {
 }
 
 /// A number in a table that programs read; empty where there is none.
-fn field(value: Option<f64>) -> String {
+fn field(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 

@@ -433,13 +433,9 @@ impl Folder {
         let page = arguments.page.as_ref().map(|path| self.page(path, results)).transpose()?;
         fs::create_dir_all(&self.0).map_err(RunsError::io("create the folder", &self.0))?;
         let json = serde_json::to_string_pretty(results)? + "\n";
-        let mut texts = vec![
-            ("results.json", json),
-            ("claims.csv", results.claims_csv()),
-            ("numbers.csv", results.numbers_csv()),
-            ("gate.csv", results.gate_csv()),
-            ("costs.csv", results.costs_csv()),
-        ];
+        let tables = [results.claims_csv(), results.numbers_csv(), results.gate_csv(), results.costs_csv()];
+        let mut texts = vec![("results.json", json)];
+        texts.extend(TABLES.into_iter().zip(tables));
         if page.is_none() {
             texts.push(("results.md", format!("# Results\n\n{}", markdown(results, "."))));
         }
