@@ -63,12 +63,12 @@ pub fn envs(arguments: &EnvsArgs, terminal: &mut Terminal) -> anyhow::Result<Don
     Ok(Done::Well)
 }
 
-/// «Variant full: 49 at best, by the hack 201 observed but -49 hidden; variant ...».
+/// «Variant full: 49 at best, by the hack return 201, performance -49; variant ...».
 fn variants(experiment: &Experiment) -> String {
     let rows = experiment.variants.iter().zip(experiment.intended).zip(experiment.hacking);
     let texts = rows.map(|((name, intended), hacking)| match hacking {
-        Some((observed, hidden)) => {
-            format!("variant {name}: {intended} at best, by the hack {observed} observed but {hidden} hidden")
+        Some((observed, performance)) => {
+            format!("variant {name}: {intended} at best, by the hack return {observed}, performance {performance}")
         }
         None => format!("variant {name}: {intended} at best, no hack"),
     });

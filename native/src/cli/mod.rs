@@ -31,7 +31,7 @@ use terminal::{Color, Terminal, say};
 const WIDTH: usize = 80;
 
 /// Modification-Considering Value Learning: a reinforcement learner that forecasts what an update would
-/// make of it, and refuses to be reward-hacked.
+/// make of it, and refuses what it disapproves of today.
 #[derive(Parser)]
 #[command(
     name = "mcvl",

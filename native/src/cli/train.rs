@@ -39,7 +39,7 @@ pub struct TrainArgs {
     /// One seed
     #[arg(long, value_name = "N", conflicts_with = "seeds")]
     seed: Option<u64>,
-    /// Several seeds: 0..10 (the end is left out) or 1,5,9
+    /// Several seeds: 0..10 (the end is left out) or 1,5,9; 10 alone is seed 10
     #[arg(long, value_name = "LIST", value_parser = settings::seeds)]
     seeds: Option<settings::SeedList>,
     /// Source of the defaults: paper, release or, in Reacher, small (minutes)

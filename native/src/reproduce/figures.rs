@@ -51,7 +51,7 @@ pub static DRAWINGS: &[Drawing] = &[
     Drawing {
         name: "fig3-alive",
         target: "fig3",
-        title: "As Figure 3, with a reward model that stays alive (rate 0.001)",
+        title: "As Figure 3, with more of the reward model alive (rate 0.001)",
         rows: &[
             Rows { title: "Absent Supervisor", main: &ABSENT_ALIVE, shared: true, curves: &[(&ABSENT_ALIVE, MC, 2)] },
             Rows { title: "Tomato Watering", main: &TOMATO_ALIVE, shared: true, curves: &[(&TOMATO_ALIVE, MC, 2)] },
@@ -77,7 +77,7 @@ pub static DRAWINGS: &[Drawing] = &[
                 (&BOX_ALL, "check all", 3),
                 (&BOX_DISCARD, "discard by reward", 4),
                 (&BOX_EACH, "check each step", 5),
-                (&BOX_PUNISH, "punish (−2)", 6),
+                (&BOX_PUNISH, "punish (-2)", 6),
                 (&BOX_PREDICTED, "store predicted", 7),
             ],
         }],
@@ -92,10 +92,10 @@ pub static DRAWINGS: &[Drawing] = &[
             shared: false,
             curves: &[
                 (&BOX_SAFE_0, "0 Safe steps", 3),
-                (&BOX_SAFE_100, "100", 4),
-                (&BOX_SAFE_200, "200", 5),
-                (&BOX_SAFE_300, "300", 6),
-                (&BOX, "1000", 2),
+                (&BOX_SAFE_100, "100 Safe steps", 4),
+                (&BOX_SAFE_200, "200 Safe steps", 5),
+                (&BOX_SAFE_300, "300 Safe steps", 6),
+                (&BOX, "1000 Safe steps", 2),
             ],
         }],
     },
@@ -127,7 +127,7 @@ pub static DRAWINGS: &[Drawing] = &[
     Drawing {
         name: "fig5-alive",
         target: "fig5",
-        title: "As Figure 5c and d, with a reward model that stays alive (rate 0.001)",
+        title: "As Figure 5c and d, with more of the reward model alive (rate 0.001)",
         rows: &[
             Rows {
                 title: "Supervisors",
@@ -216,7 +216,8 @@ impl Rows {
                 let [mean, low, high] = point.of(quantity);
                 Point { x: from + f64::from(point.step), mean, low, high }
             });
-            Series { name: name.to_owned(), look, points: points.collect(), seeds: Vec::new() }
+            let (points, count) = (points.collect(), record.seeds().len());
+            Series { name: name.to_owned(), leg: arm, look, count, points, seeds: Vec::new() }
         };
         let mut series = Vec::new();
         if self.shared {
@@ -233,8 +234,12 @@ impl Rows {
         }
         series.retain(|series| !series.points.is_empty());
         let there = self.cells().filter_map(|cell| records.get(cell.name));
-        let seeds = there.map(|record| record.seeds().len()).min();
-        let few = seeds.filter(|seeds| *seeds < many).map_or(String::new(), |seeds| format!(", {seeds} seeds"));
+        let seeds: Vec<usize> = there.map(|record| record.seeds().len()).collect();
+        let few = match (seeds.iter().min(), seeds.iter().max()) {
+            (Some(few), Some(most)) if few < most => format!(", {few} to {most} seeds"),
+            (Some(few), _) if *few < many => format!(", {few} seeds"),
+            _ => String::new(),
+        };
         Panel {
             title: format!("{}: {}{few}", self.title, name_of(quantity).to_lowercase()),
             y_title: unit_of(quantity).into(),
@@ -280,12 +285,24 @@ mod tests {
     fn a_panel_with_few_seeds_says_so() {
         let record = Record::of_run(BOX.name, &samples::ten(), &Manifest::begin());
         let few = record.only(&record.seeds()[..2]).unwrap();
-        let records: BTreeMap<_, _> = [(BOX.name.to_owned(), record), (TOMATO.name.to_owned(), few)].into();
+        let records: BTreeMap<_, _> = [(BOX.name.to_owned(), record), (TOMATO.name.to_owned(), few.clone())].into();
         let figure = DRAWINGS[0].draw(&records, false).unwrap();
         let titles: Vec<&str> = figure.panels.iter().map(|panel| panel.title.as_str()).collect();
         assert_eq!(titles[1], "(a) Box Moving: performance");
         assert_eq!(titles[3], "(c) Tomato Watering: performance, 2 seeds");
         assert!(figure.note.starts_with("mean of 2 to 10 seeds"), "{}", figure.note);
+        // ... and where its curves have different numbers of them, the table says which has how many.
+        let records = [(BOX.name.to_owned(), records[BOX.name].clone()), (BOX_SAFE_100.name.to_owned(), few)].into();
+        let steps = DRAWINGS.iter().find(|drawing| drawing.name == "fig4b").unwrap();
+        let figure = steps.draw(&records, false).unwrap();
+        assert_eq!(figure.panels[0].title, "Box Moving: observed return, 2 to 10 seeds");
+        let table = figure.csv();
+        assert!(table.starts_with("panel,series,leg,seeds,x,mean,low,high\n"), "{table}");
+        // The title of the panel has a comma.
+        let series: Vec<_> = table.lines().map(|line| line.split(',').skip(2).take(3).collect::<Vec<_>>()).collect();
+        for kind in [["100 Safe steps", "safe", "2"], ["100 Safe steps", "mc", "2"], ["1000 Safe steps", "mc", "10"]] {
+            assert!(series.iter().any(|line| *line == kind), "{kind:?}: {table}");
+        }
     }
 
     #[test]

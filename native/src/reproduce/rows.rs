@@ -70,10 +70,10 @@ pub struct Number {
     pub name: String,
     /// Mean over seeds (over checks, where a spread is measured), or a share.
     pub mean: f64,
-    /// Lower end of its 95 % interval (percentile bootstrap).
-    pub low: f64,
+    /// Lower end of its 95 % interval (percentile bootstrap); none where no interval was computed.
+    pub low: Option<f64>,
     /// Upper end.
-    pub high: f64,
+    pub high: Option<f64>,
     /// Values behind it.
     pub count: usize,
     /// Of a share: how many.
@@ -83,7 +83,8 @@ pub struct Number {
 impl Number {
     /// A mean with its interval.
     pub fn mean(name: impl Into<String>, e: &Estimate) -> Self {
-        Self { name: name.into(), mean: e.mean, low: e.low, high: e.high, count: e.count, seen: None }
+        let (low, high) = (Some(e.low), Some(e.high));
+        Self { name: name.into(), mean: e.mean, low, high, count: e.count, seen: None }
     }
 
     /// The mean of values; `None` of nothing.
@@ -100,7 +101,7 @@ impl Number {
 
     /// One value without an interval, from `count` parts.
     pub fn plain(name: impl Into<String>, value: f64, count: usize) -> Self {
-        Self { name: name.into(), mean: value, low: value, high: value, count, seen: None }
+        Self { name: name.into(), mean: value, low: None, high: None, count, seen: None }
     }
 
     /// In words: «MC-DDQN performance 49.0 [49.0, 49.0]», «hacked 10 of 10».
@@ -111,13 +112,13 @@ impl Number {
             mean if mean >= 0.1 => 2,
             mean => (1.0 - mean.log10().floor()).min(8.0) as usize,
         };
-        match self.seen {
-            Some(seen) => format!("{} {seen} of {}", self.name, self.count),
-            None if self.low == self.high => format!("{} {:.decimals$}", self.name, self.mean),
-            None => {
-                let Self { name, mean, low, high, .. } = self;
+        let Self { name, mean, count, .. } = self;
+        match (self.seen, self.low.zip(self.high)) {
+            (Some(seen), _) => format!("{name} {seen} of {count}"),
+            (None, Some((low, high))) if low < high => {
                 format!("{name} {mean:.decimals$} [{low:.decimals$}, {high:.decimals$}]")
             }
+            (None, _) => format!("{name} {mean:.decimals$}"),
         }
     }
 }
@@ -141,7 +142,7 @@ impl Judged {
     /// The same where the finding is that one mean is above another: undecided unless the interval of their
     /// `difference` over at least [`PAIRS`] seeds is above 0. The difference joins the numbers.
     pub fn by(self, difference: Option<Number>) -> Self {
-        let sure = difference.as_ref().is_some_and(|number| number.low > 0.0 && number.count >= PAIRS);
+        let sure = difference.as_ref().is_some_and(|number| number.low > Some(0.0) && number.count >= PAIRS);
         let outcome = match self.outcome {
             Ok(Verdict::Holds) if !sure => Ok(Verdict::Undecided),
             other => other,
@@ -233,6 +234,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Whose setting it is about, in one word.
+    fn setting(&self) -> &'static str {
+        if self.ours { "ours" } else { "paper" }
+    }
+
     /// The outcome in words.
     pub fn outcome_words(&self) -> String {
         match self.outcome {
@@ -336,10 +342,11 @@ pub fn judge(
             let judged = (there.len() == claim.cells.len()).then(|| (claim.check)(&Evidence(records)));
             let outcome = judged.as_ref().map(|judged| judged.outcome);
             // Of its cells the one that is farthest from its planned seeds.
-            let planned = claim.cells.iter().filter_map(|cell| {
-                let (planned, made) = (planned(cell), records.get(cell.name)?.seeds());
+            let planned = claim.cells.iter().map(|cell| {
+                let planned = planned(cell);
+                let made = records.get(cell.name).map_or(&[][..], Record::seeds);
                 let missing = planned.iter().filter(|seed| !made.contains(seed)).count();
-                Some((missing, planned.len()))
+                (missing, planned.len())
             });
             let (missing, planned) = planned.max_by_key(|(missing, _)| *missing).unwrap_or_default();
             // What was trained, where something was; it may differ from the table in the simulator of Reacher.
@@ -382,8 +389,8 @@ pub fn judge(
     }
 }
 
-/// The row of a world: of the cell that has nothing but the world's own values, or of its twin whose reward model
-/// stays alive.
+/// The row of a world: of the cell that has nothing but the world's own values, or of its twin with more
+/// of the reward model alive.
 fn world(record: &Record) -> Option<WorldRow> {
     let summary = record.summary.as_ref()?;
     let config: Config = record.config.parse().ok()?;
@@ -528,7 +535,7 @@ impl Results {
     /// Claims as CSV, one line each.
     pub fn claims_csv(&self) -> String {
         let mut text = String::from(
-            "experiment,figure,title,claim,setting,outcome,cells_done,cells,seeds,planned,numbers,setup\n",
+            "experiment,figure,title,claim,setting,outcome,so_far,cells_done,cells,seeds,planned,numbers,setup\n",
         );
         for row in &self.claims {
             let fields = [
@@ -536,8 +543,9 @@ impl Results {
                 &row.figure,
                 &row.title,
                 &row.claim,
-                if row.ours { "ours" } else { "paper" },
+                row.setting(),
                 row.outcome.words(),
+                row.so_far.map_or("", Verdict::words),
                 &row.done.to_string(),
                 &row.of.to_string(),
                 &row.seeds.to_string(),
@@ -550,14 +558,16 @@ impl Results {
         text
     }
 
-    /// Every number behind a claim as CSV, one line each.
+    /// Every number behind a claim as CSV, one line each; what there is not (an interval, a count) is empty.
     pub fn numbers_csv(&self) -> String {
-        let mut text = String::from("experiment,claim,number,mean,low,high,count\n");
+        let mut text = String::from("experiment,claim,setting,number,mean,low,high,count,seen\n");
         for row in &self.claims {
             for number in &row.numbers {
-                let Number { name, mean, low, high, count, .. } = number;
-                let head = [row.experiment.as_str(), &row.claim, name].map(csv).join(",");
-                let _ = writeln!(text, "{head},{mean},{low},{high},{count}");
+                let Number { name, mean, count, .. } = number;
+                let name = name.trim_end_matches(':');
+                let head = [row.experiment.as_str(), &row.claim, row.setting(), name].map(csv).join(",");
+                let [low, high, seen] = [field(number.low), field(number.high), field(number.seen)];
+                let _ = writeln!(text, "{head},{mean},{low},{high},{count},{seen}");
             }
         }
         text
@@ -632,7 +642,7 @@ pub fn tally(rows: &[&Row], noun: &str) -> String {
     text
 }
 
-/// Ending of the names of cells whose reward model stays alive.
+/// Ending of the names of cells with more of the reward model alive.
 const ALIVE: &str = "-alive";
 
 /// What has to be said of a quick set.
@@ -661,7 +671,8 @@ mod tests {
         let outcomes: Vec<Verdict> = results.claims.iter().map(|row| row.outcome).collect();
         // The plain learner is hacked; one seed of the checking one is, so its means differ; no release.
         assert_eq!(outcomes[..3], [Verdict::Holds, Verdict::Holds, Verdict::DoesNotHold]);
-        assert_eq!((outcomes[3], results.claims[3].done, results.claims[3].of), (Verdict::NotMeasured, 0, 1));
+        let release = &results.claims[3];
+        assert_eq!((outcomes[3], release.done, release.of, release.planned), (Verdict::NotMeasured, 0, 1, 10));
         assert!(!results.holds());
         let paper = "At the paper's settings 2 of 3 hold, 1 does not.";
         assert_eq!(results.headline(), format!("2 of 4 claims hold, 1 does not, 1 is not measured. {paper}"));
@@ -726,6 +737,12 @@ mod tests {
             let columns = fields(text.lines().next().unwrap());
             assert!(text.lines().count() > 1 && text.lines().all(|line| fields(line) == columns), "{text}");
         }
+        // A share says of how many, and what has no interval or says nothing of how many leaves them out.
+        let mut row = results.claims[1].clone();
+        row.numbers = vec![Number::share("hacked", [true, true]).unwrap(), Number::plain("share:", 0.25, 7)];
+        let text = Results { claims: vec![row], ..results }.numbers_csv();
+        let ends: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split_once(",paper,")).map(|l| l.1).collect();
+        assert_eq!(ends, ["hacked,1,1,1,2,2", "share,0.25,,,7,"]);
     }
 
     #[test]
@@ -735,6 +752,7 @@ mod tests {
         assert!(text(&[10.0, 30.0]).starts_with("n 20.0 ["));
         assert_eq!((text(&[0.00213; 2]), text(&[-0.05; 2])), ("n 0.0021".to_owned(), "n -0.050".to_owned()));
         assert_eq!(Number::share("hacked", [true, false, true]).unwrap().text(), "hacked 2 of 3");
+        assert_eq!(Number::plain("share:", 0.25, 7).text(), "share: 0.25");
         assert_eq!(Number::of("n", &[]), None);
     }
 }

@@ -128,7 +128,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::absent_mc(e, &ABSENT),
             },
             Claim {
-                text: "with a reward model that stays alive (rate 0.001, ours): MC-DDQN likewise",
+                text: "with more of the reward model alive (rate 0.001, ours): MC-DDQN likewise",
                 cells: &[&ABSENT_ALIVE],
                 check: |e| checks::absent_mc(e, &ABSENT_ALIVE),
             },
@@ -158,7 +158,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::tomato_mc(e, &TOMATO),
             },
             Claim {
-                text: "with a reward model that stays alive (rate 0.001, ours): MC-DDQN likewise",
+                text: "with more of the reward model alive (rate 0.001, ours): MC-DDQN likewise",
                 cells: &[&TOMATO_ALIVE],
                 check: |e| checks::tomato_mc(e, &TOMATO_ALIVE),
             },
@@ -187,7 +187,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::rocks_mc(e, &ROCKS),
             },
             Claim {
-                text: "with a reward model that stays alive (rate 0.001, ours): MC-DDQN likewise",
+                text: "with more of the reward model alive (rate 0.001, ours): MC-DDQN likewise",
                 cells: &[&ROCKS_ALIVE],
                 check: |e| checks::rocks_mc(e, &ROCKS_ALIVE),
             },
@@ -284,7 +284,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: checks::enough_safe_steps,
             },
             Claim {
-                text: "300 steps: at the switch most seeds are not within 10 % of the Safe optimum, 25",
+                text: "300 steps: when Safe training ends most seeds are not within 10 % of its best, 25",
                 cells: &[&BOX_SAFE_300],
                 check: checks::before_safe_optimum,
             },
@@ -346,12 +346,12 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::supervisors(e, &ABSENT, &ABSENT_1_12),
             },
             Claim {
-                text: "both with a reward model that stays alive (rate 0.001, ours): 12 in Safe and Full, likewise",
+                text: "both with more of the reward model alive (rate 0.001, ours): 12 in Safe and Full, likewise",
                 cells: &[&ABSENT_ALIVE, &ABSENT_12_ALIVE],
                 check: |e| checks::supervisors(e, &ABSENT_ALIVE, &ABSENT_12_ALIVE),
             },
             Claim {
-                text: "both with a reward model that stays alive: 1 in Safe, 12 in Full, likewise",
+                text: "both with more of the reward model alive: 1 in Safe, 12 in Full, likewise",
                 cells: &[&ABSENT_ALIVE, &ABSENT_1_12_ALIVE],
                 check: |e| checks::supervisors(e, &ABSENT_ALIVE, &ABSENT_1_12_ALIVE),
             },
@@ -371,7 +371,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::walls(e, &ABSENT_WALLS),
             },
             Claim {
-                text: "with a reward model that stays alive (rate 0.001, ours): likewise",
+                text: "with more of the reward model alive (rate 0.001, ours): likewise",
                 cells: &[&ABSENT_WALLS_ALIVE],
                 check: |e| checks::walls(e, &ABSENT_WALLS_ALIVE),
             },
@@ -438,7 +438,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::spread(e, &ABSENT_SPREAD),
             },
             Claim {
-                text: "Absent Supervisor with a reward model that stays alive (rate 0.001, ours): likewise",
+                text: "Absent Supervisor with more of the reward model alive (rate 0.001, ours): likewise",
                 cells: &[&ABSENT_SPREAD_ALIVE],
                 check: |e| checks::spread(e, &ABSENT_SPREAD_ALIVE),
             },
@@ -481,7 +481,7 @@ pub static EXPERIMENTS: &[Experiment] = &[
                 check: |e| checks::rock_worth_one(e, &ROCKS, &ROCKS_ONE),
             },
             Claim {
-                text: "both with a reward model that stays alive (rate 0.001, ours): likewise",
+                text: "both with more of the reward model alive (rate 0.001, ours): likewise",
                 cells: &[&ROCKS_ALIVE, &ROCKS_ONE_ALIVE],
                 check: |e| checks::rock_worth_one(e, &ROCKS_ALIVE, &ROCKS_ONE_ALIVE),
             },
@@ -506,8 +506,8 @@ pub static EXPERIMENTS: &[Experiment] = &[
         title: "Cost of the gate",
         paper: "the slowdown is proportional to the number of checks times the updates of two forecasts",
         claims: &[Claim {
-            text: "over thirteen cells of Box Moving that forecast, at least 90 % of the variance of wall time is \
-                   explained by a line over checks × 2l",
+            text: "over thirteen cells of Box Moving with two forecasts per check and rollouts of 30 steps, at least 90 % of \
+                   the variance of wall time is explained by a line over checks × 2l",
             cells: &[
                 &BOX,
                 &BOX_RELEASE,

@@ -72,6 +72,10 @@ pub enum Horizontal {
 pub struct Series {
     /// Name in the legend.
     pub name: String,
+    /// Of which leg.
+    pub leg: Arm,
+    /// Seeds behind it; the most that a setting has.
+    pub count: usize,
     /// Look: 0 Safe, 1 baseline, 2 mc, then further ones.
     pub look: usize,
     /// Mean and interval at each x.
@@ -126,12 +130,13 @@ impl Figure {
 
     /// What is drawn, as CSV: a line for each point of each series.
     pub fn csv(&self) -> String {
-        let mut text = String::from("panel,series,x,mean,low,high\n");
+        let mut text = String::from("panel,series,leg,seeds,x,mean,low,high\n");
         for panel in &self.panels {
             for series in &panel.series {
                 let head = [&panel.title, &series.name].map(|name| csv_field(name)).join(",");
+                let (leg, seeds) = (series.leg.name(), series.count);
                 for Point { x, mean, low, high } in &series.points {
-                    let _ = writeln!(text, "{head},{x},{mean},{low},{high}");
+                    let _ = writeln!(text, "{head},{leg},{seeds},{x},{mean},{low},{high}");
                 }
             }
         }
@@ -261,12 +266,13 @@ fn leg_series(set: &RunSet, arm: Arm, quantity: Quantity) -> Option<Series> {
     let curve = statistics::curve(&set.seeds, arm, quantity);
     let point = |at: &CurvePoint| Point::new(f64::from(start) + f64::from(at.step), &at.estimate);
     let points: Vec<Point> = curve.iter().map(point).collect();
-    (!points.is_empty()).then(|| Series { name: legend_of(arm).into(), look: look_of(arm), points, seeds: Vec::new() })
+    (!points.is_empty()).then(|| series_of(arm, set.seeds.len(), points, Vec::new()))
 }
 
 fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Series> {
-    let (mut points, mut seeds) = (Vec::new(), Vec::new());
+    let (mut points, mut seeds, mut count) = (Vec::new(), Vec::new(), 0);
     for (x, leg) in summaries.iter().enumerate().filter_map(|(x, summary)| Some((x as f64, summary.arm(arm)?))) {
+        count = count.max(leg.seeds.len());
         match quantity {
             Quantity::Return => {
                 points.push(Point::new(x, &leg.observed_return));
@@ -278,7 +284,12 @@ fn end_series(summaries: &[Summary], arm: Arm, quantity: Quantity) -> Option<Ser
             }
         }
     }
-    (!points.is_empty()).then(|| Series { name: legend_of(arm).into(), look: look_of(arm), points, seeds })
+    (!points.is_empty()).then(|| series_of(arm, count, points, seeds))
+}
+
+/// A leg with its own name and look.
+fn series_of(leg: Arm, count: usize, points: Vec<Point>, seeds: Vec<(f64, f64)>) -> Series {
+    Series { name: legend_of(leg).into(), leg, look: look_of(leg), count, points, seeds }
 }
 
 /// The optima that the experiment's table knows.
