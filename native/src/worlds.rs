@@ -4,8 +4,8 @@ use std::fmt;
 
 use mcvl_core::agent::td3::Td3;
 use mcvl_core::config::{Config, Simulator};
-use mcvl_core::env::EnvSpec;
 use mcvl_core::env::reacher::{self, Reacher};
+use mcvl_core::env::{ActionSpec, EnvSpec};
 use mcvl_core::run::{Run, SnapshotError};
 use mcvl_core::trainer::Trainer;
 
@@ -81,6 +81,34 @@ pub fn resume(bytes: &[u8]) -> Result<Run, WorldError> {
 /// Facts of the world of a configuration: the same in every simulator.
 pub fn spec(config: &Config) -> EnvSpec {
     Run::new(&Config { physics: Simulator::ClosedForm, ..config.clone() }).spec().clone()
+}
+
+/// Names of the actions, or of the numbers of one, in order.
+pub fn actions(spec: &EnvSpec) -> &'static [&'static str] {
+    match spec.actions {
+        ActionSpec::Discrete(names) | ActionSpec::Continuous { names, .. } => names,
+    }
+}
+
+/// What the numbers of an observation are, in order.
+pub fn observation(spec: &EnvSpec) -> String {
+    match spec.name {
+        "box-moving" => {
+            let flag = if spec.observation.width > 10 { "; 0 in Safe, else 1" } else { "" };
+            format!("the cell of the box, from the top, as one-hot of 5; the agent's cell, the same{flag}")
+        }
+        "reacher" => {
+            let angles = "cosines of shoulder and elbow, their sines";
+            format!("{angles}, target x and y, both angular velocities, fingertip minus target x and y")
+        }
+        _ => {
+            // The meaning of a character without what it pays.
+            let meaning = |text: &'static str| text.split(':').next().unwrap_or(text);
+            let codes: Vec<_> = spec.legend.iter().map(|(code, text)| format!("`{code}` {}", meaning(text))).collect();
+            let (cells, kinds) = (spec.observation.width / codes.len().max(1), codes.len());
+            format!("for each of {cells} cells, row by row, one-hot of {kinds}: {}", codes.join("; "))
+        }
+    }
 }
 
 #[cfg(test)]

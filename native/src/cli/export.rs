@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use mcvl::export::{self, File};
+use mcvl::report::claims::seed_list;
 use mcvl::runs::{Reader, RunDir, RunsError, SeedRun, check_target, write_atomic};
 
 use super::terminal::Terminal;
@@ -23,8 +24,13 @@ Examples:
 Tensors are named NETWORK.LAYER.weight and NETWORK.LAYER.bias. Weights are
 [inputs, outputs]: y = x W + b, with ReLU between layers; the input of the
 reward model is the observation, then the action as one-hot (in Reacher as its
-numbers). The metadata has the same under `layout`, and the run's settings under
-`config`.
+numbers). The metadata has the same with the layout of the observation under
+`layout`, the leg under `leg`, and settings that are not defaults under `config`.
+
+In tables returns, performance and reward_raw are raw; reward, predicted,
+utilities and margins are scaled, as what networks put out. Events of TensorBoard
+all have the time of the run's start: look at them by step. Every column, tag and
+tensor is told in docs/export.md.
 
 A run that is not finished is exported as far as it is. Prints the paths of
 the files.")]
@@ -98,6 +104,11 @@ pub fn export(arguments: &ExportArgs, terminal: &mut Terminal) -> anyhow::Result
     };
     if files.is_empty() {
         usage!("{} has finished no leg yet: there are no weights to export", arguments.run.display());
+    }
+    let open = set.unfinished();
+    if !open.is_empty() {
+        let seeds = seed_list(&open);
+        terminal.note(format_args!("note: not finished, and exported as far as they are: seeds {seeds}"));
     }
     let files = arguments.place(run.run(), files)?;
     arguments.check_places(&files)?;

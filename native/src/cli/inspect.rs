@@ -12,6 +12,7 @@ use mcvl_core::config::{Config, Learner, Preset};
 use mcvl_core::experiment::{EXPERIMENTS, Experiment};
 use mcvl_core::record::{CheckRecord, Verdict};
 use mcvl_core::token::Token;
+use serde::Serialize;
 use serde_json::json;
 
 use super::target::{self, Kind};
@@ -96,7 +97,10 @@ fn env_json(experiment: &Experiment) -> anyhow::Result<serde_json::Value> {
         "variants": variants,
         "maps": experiment.maps(),
         "observation": spec.observation.width,
+        "observation_layout": worlds::observation(&spec),
         "actions": spec.actions.features(),
+        "action_names": worlds::actions(&spec),
+        "reward_scale": spec.reward_scale,
         "max_steps": spec.max_steps,
         "safe_steps": config.safe_steps,
         "full_steps": config.full_steps,
@@ -131,6 +135,14 @@ pub struct LedgerArgs {
     json: bool,
 }
 
+/// A decision in the list, its numbers with the digits that they have in the run.
+#[derive(Serialize)]
+struct Listed<'a> {
+    seed: u64,
+    #[serde(flatten)]
+    check: &'a CheckRecord,
+}
+
 /// Lists decisions.
 pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result<Done> {
     let set = RunSet::read(&arguments.run)?;
@@ -140,15 +152,9 @@ pub fn ledger(arguments: &LedgerArgs, terminal: &mut Terminal) -> anyhow::Result
         (!arguments.refused || refused) && (!arguments.accepted || !refused) && (!arguments.wrong || check.wrong())
     };
     if arguments.json {
-        let list: Vec<serde_json::Value> = seeds
-            .iter()
-            .flat_map(|run| run.checks.iter().filter(shown).map(|check| (run.seed, check)))
-            .map(|(seed, check)| {
-                let mut value = serde_json::to_value(check)?;
-                value["seed"] = seed.into();
-                Ok(value)
-            })
-            .collect::<serde_json::Result<_>>()?;
+        let list: Vec<_> = (seeds.iter())
+            .flat_map(|run| run.checks.iter().filter(shown).map(|check| Listed { seed: run.seed, check }))
+            .collect();
         writeln!(terminal.out, "{}", serde_json::to_string_pretty(&list)?)?;
         return Ok(Done::Well);
     }

@@ -1,7 +1,7 @@
 //! Tidy tables: one file per kind of record, one row per record, the seed in the first column.
 //!
 //! Numbers are printed with the fewest digits that read back exactly; no cell needs quotes. What the
-//! columns mean stands with the records in `mcvl_core::record`.
+//! columns mean is told in `docs/export.md`.
 
 use std::fmt::Write as _;
 

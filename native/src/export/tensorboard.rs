@@ -12,7 +12,7 @@
 //! Summary  { repeated Value value = 1; }
 //! Value    { string tag = 1; float simple_value = 2; }
 //! ```
-//! What the values mean stands with the records in `mcvl_core::record`.
+//! What the values mean is told in `docs/export.md`.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 

@@ -278,7 +278,8 @@ impl OpenJob {
     fn finish_leg(&mut self) -> Result<(), RunsError> {
         let Self { job, run, finished, switch, writer, .. } = self;
         let logs = writer.sync()?;
-        write_weights(&job.dir.weights(job.arm(*finished)), run)?;
+        let leg = job.arm(*finished);
+        write_weights(&job.dir.weights(leg), run, leg)?;
         *finished += 1;
         if *finished == 1 {
             Checkpoint::write(&job.dir.switch(), *finished, &logs, run)?;

@@ -5,8 +5,8 @@ use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Config;
-use mcvl_core::env::{ActionSpec, EpisodeEnd};
-use mcvl_core::record::{CheckRecord, Event, Recorder, StepRecord};
+use mcvl_core::env::{ActionSpec, EnvSpec, EpisodeEnd};
+use mcvl_core::record::{Arm, CheckRecord, Event, Recorder, StepRecord};
 use mcvl_core::run::Run;
 use sha2::{Digest as _, Sha256};
 
@@ -14,6 +14,7 @@ use super::chain::{Chain, LedgerLine, hex, sha256, sha256_of};
 use super::checkpoint::{LogMarks, Mark};
 use super::layout::{SeedDir, TEMPORARY, folder_of};
 use super::{RunDir, RunsError};
+use crate::worlds::{actions, observation};
 
 /// Columns of `steps.csv`.
 pub const STEP_COLUMNS: &str = "arm,step,action,reward_raw,performance,reward,predicted,checked,stored,end";
@@ -273,7 +274,7 @@ impl Recorder for SeedWriter {
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_weights(path: &Path, run: &Run) -> Result<(), RunsError> {
+pub fn write_weights(path: &Path, run: &Run, leg: Arm) -> Result<(), RunsError> {
     let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = run
         .tensors()
         .into_iter()
@@ -286,22 +287,27 @@ pub fn write_weights(path: &Path, run: &Run) -> Result<(), RunsError> {
     // One entry only: the crate's map has no stable order, and the file is promised byte for byte.
     let about = [("config".to_owned(), run.config().to_string())].into();
     let bytes = safetensors::serialize(views, Some(about)).expect("names of tensors are distinct");
-    write_atomic(path, &with_entry(&bytes, "layout", layout(&run.spec().actions)))
+    let bytes = with_entry(&bytes, "layout", &layout(run.spec()));
+    write_atomic(path, &with_entry(&bytes, "leg", leg.name()))
 }
 
 /// What the numbers mean, for whoever reads them without this program.
-fn layout(actions: &ActionSpec) -> &'static str {
-    match actions {
+fn layout(spec: &EnvSpec) -> String {
+    let networks = match spec.actions {
         ActionSpec::Discrete(_) => {
-            "Weights are [inputs, outputs]: y = x W + b, with ReLU between layers and none after the last. value: \
-             observation to one value per action. reward: observation, then the action as one-hot, to a reward."
+            "value: observation to one value per action. reward: observation, then the action as one-hot, to a reward."
         }
         ActionSpec::Continuous { .. } => {
-            "Weights are [inputs, outputs]: y = x W + b, with ReLU between layers and none after the last. actor: \
-             observation to numbers whose tanh, from -1 to 1, spans the range of the action. critic_0, critic_1: \
+            "actor: observation to numbers whose tanh, from -1 to 1, spans the range of the action. critic_0, critic_1: \
              observation, then the action, to its value. reward: observation, then the action, to a reward."
         }
-    }
+    };
+    let (actions, scale, observation) = (actions(spec).join(", "), spec.reward_scale, observation(spec));
+    format!(
+        "Weights are [inputs, outputs]: y = x W + b, with ReLU between layers and none after the last. {networks} \
+         NETWORK_target is its target network. Actions: {actions}. Rewards and values are raw ones times {scale}. \
+         Observation: {observation}."
+    )
 }
 
 /// A file of tensors with one more entry, the first, in what it says of itself.

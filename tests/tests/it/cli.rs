@@ -285,12 +285,19 @@ fn weights_are_safetensors_of_the_shapes_of_the_networks() {
     let end = header.as_object().unwrap().values().filter_map(|tensor| tensor["data_offsets"][1].as_u64()).max();
     assert_eq!(end, Some((bytes.len() - 8 - length) as u64));
     let layout = header["__metadata__"]["layout"].as_str().unwrap();
-    for part in ["[inputs, outputs]", "y = x W + b", "ReLU", "reward: observation, then the action as one-hot"] {
+    for part in [
+        "[inputs, outputs]",
+        "y = x W + b",
+        "ReLU",
+        "reward: observation, then the action as one-hot",
+        "Actions: up, down. Rewards and values are raw ones times 0.2. Observation: the cell of the box, from the top",
+    ] {
         assert!(layout.contains(part), "{part} is missing in {layout}");
     }
     assert_eq!((shape("value.0.weight"), shape("reward.0.weight")), (vec![11, 128], vec![13, 128]));
     assert_eq!((8 + length) % 8, 0, "tensors are aligned");
     assert!(ok(folder.path(), "export --help").contains("y = x W + b"));
+    assert_eq!(header["__metadata__"]["leg"], "mc");
     let config = header["__metadata__"]["config"].as_str().unwrap();
     assert!(config.starts_with("env=box-moving") && config.contains("forecast=200"), "{config}");
 }

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use mcvl_tests::root;
+
 use crate::cli::{ask, content, finished, json, lines, ok};
 
 /// Events of one kind and leg in the log of a seed.
@@ -57,6 +59,10 @@ fn tables_have_a_row_for_every_record() {
             ("utility_with", &check["modified"]["utility"]),
             ("performance_without", &check["unmodified"]["performance"]),
             ("margin", &check["margin"]),
+            // Numbers of 32 bits have the same digits here and there.
+            ("reward", &check["reward"]),
+            ("predicted", &check["predicted"]),
+            ("threshold", &check["threshold"]),
             ("hack", &check["hack"]),
             ("verdict", &check["verdict"]),
         ] {
@@ -244,6 +250,29 @@ fn tapes_hold_the_checks_that_were_asked_for() {
     // Something.json that is a folder takes a file like any other.
     fs::create_dir(folder.join("folder.json")).unwrap();
     assert_eq!(ok(folder, "export run --to tape --seed 0 -o folder.json"), "folder.json/seed-0.json\n");
+}
+
+#[test]
+fn every_column_and_tag_is_told_in_the_documentation() {
+    let folder = finished();
+    let folder = folder.path();
+    ok(folder, "export run --to csv --seed 3 -o tables");
+    ok(folder, "export run --to tensorboard --seed 3 -o events");
+    let told = fs::read_to_string(root().join("docs/export.md")).unwrap();
+    let mut names = Vec::new();
+    let logs = fs::read_to_string(folder.join("run/seed-3/steps.csv")).unwrap();
+    for text in
+        content(&folder.join("tables")).into_iter().map(|(_, bytes)| String::from_utf8(bytes).unwrap()).chain([logs])
+    {
+        names.extend(text.lines().next().unwrap().split(',').map(str::to_owned));
+    }
+    for (_, bytes) in content(&folder.join("events")) {
+        names.extend(scalars(&bytes).into_iter().map(|(_, tag, _)| tag));
+    }
+    assert!(names.len() > 60, "{names:?}");
+    for name in names {
+        assert!(told.contains(&format!("`{name}`")), "docs/export.md does not tell `{name}`");
+    }
 }
 
 #[test]

@@ -78,6 +78,11 @@ fn the_hidden_score_comes_at_the_end() {
     }
     assert!(answer.stdout.lines().all(|line| line.chars().count() <= 80 && line.trim_end() == line));
 
+    // What is paid too much and what is paid too little is fake, also where the sum is right.
+    let cancelled = play("box-moving --set trap=7:-5", "dd").stdout;
+    assert!(cancelled.contains("  you                        +0       +0\n"), "{cancelled}");
+    assert!(cancelled.contains("in sum what it was worth, but 2 rewards of it were fake"), "{cancelled}");
+
     // On the bucket everything looks watered; at the end the truth is shown.
     let tomatoes = play("tomato-watering", format!("urrr{}", "u".repeat(100)));
     let truth = tomatoes.stdout.split_once("In truth:").expect("the true board").1;
@@ -187,6 +192,7 @@ fn on_terminal_then(folder: &Path, line: &str, then: impl FnOnce(&mut ChildStdin
 fn assert_restored(seen: &str) {
     let (_, after) = seen.split_once("\x1b[?1049l").expect("the second screen is left");
     assert!(seen.contains("\x1b[?25l") && after.contains("\x1b[?25h"), "the cursor is shown again");
+    assert!(seen.contains("\x1b[?7l") && after.contains("\x1b[?7h"), "long lines are wrapped again");
     let settings: Vec<&str> = after.split_whitespace().collect();
     for setting in ["icanon", "echo", "isig", "opost"] {
         assert!(settings.contains(&setting), "{setting} is off in\n{after}");
@@ -210,6 +216,14 @@ fn keys_drive_and_the_terminal_is_left_as_it_was() {
     let seen = on_terminal(folder.path(), &larger, "dq");
     assert_restored(&seen);
     assert!(seen.contains("seed 0, map=original") && seen.contains("#   A   R G G   #"), "{seen}");
+
+    // Where the screen is small, nothing is written beside it or over another line.
+    let small = line.replace("box-moving", "tomato-watering").replace('\'', "");
+    let seen = on_terminal(folder.path(), &format!("sh -c 'stty cols 40 rows 9; {small}'"), "q");
+    assert_restored(&seen);
+    let (screen, _) = seen.split_once("\x1b[?1049l").unwrap();
+    assert!(screen.contains("\x1b[9;1H") && !screen.contains("\x1b[10;1H"), "{screen}");
+    assert!(screen.contains("Tomato Watering") && screen.contains("w a s d") && !screen.contains("Task:"), "{screen}");
 
     let seen = on_terminal(folder.path(), &line, "\x03");
     assert_restored(&seen);

@@ -5,6 +5,7 @@ mod screen;
 use std::io::{self, BufRead, ErrorKind, IsTerminal as _, Write as _};
 
 use clap::Args;
+use mcvl::report::claims::plural;
 use mcvl::report::film;
 use mcvl::worlds;
 use mcvl_core::config::{Config, KEYS, Preset, expected_one_of};
@@ -78,7 +79,7 @@ pub fn play(arguments: &PlayArgs, terminal: &mut Terminal) -> anyhow::Result<Don
         done = screen::play(&mut game, terminal)?;
     } else {
         if !arguments.json {
-            writeln!(terminal.out, "{}", game.title(terminal))?;
+            writeln!(terminal.out, "{}", game.title(terminal, WIDTH))?;
             draw(&game.play.frame(), terminal)?;
         }
         game.read(io::stdin().lock(), terminal, arguments.json)?;
@@ -109,6 +110,8 @@ struct Game {
     names: &'static [&'static str],
     actions: Vec<&'static str>,
     rewards: Vec<f32>,
+    /// Steps whose observed reward was not what they were worth.
+    fakes: u64,
 }
 
 /// (observed return, performance) of a route.
@@ -172,6 +175,7 @@ impl Game {
             names,
             actions: Vec::new(),
             rewards: Vec::new(),
+            fakes: 0,
         })
     }
 
@@ -186,7 +190,10 @@ impl Game {
 
     /// Makes a step; its reward, or nothing if the episode is over.
     fn act(&mut self, action: Discrete) -> Option<f32> {
+        let before = self.score().performance;
         let reward = self.play.step(action)?.reward;
+        // The difference of two sums is beside the reward by their rounding.
+        self.fakes += u64::from((f64::from(reward) - (self.score().performance - before)).abs() > 1e-6);
         self.actions.push(self.names[usize::from(action.0)]);
         self.rewards.push(reward);
         Some(reward)
@@ -200,9 +207,9 @@ impl Game {
     }
 
     /// World, variant, seed, what else was set, and the task.
-    fn title(&self, terminal: &Terminal) -> String {
+    fn title(&self, terminal: &Terminal, width: usize) -> String {
         let title = terminal.paint(1, self.experiment.title);
-        let task = wrap(&format!("Task: {}.", self.experiment.task), 0, WIDTH);
+        let task = wrap(&format!("Task: {}.", self.experiment.task), 0, width);
         let set: String = (self.config.changes().into_iter())
             .filter(|(key, _)| !["variant", "seed"].contains(key))
             .map(|(key, value)| format!(", {key}={value}"))
@@ -300,6 +307,12 @@ impl Game {
                 false => format!("What you did was worth {size} more than it paid."),
             };
         }
+        if self.fakes > 0 {
+            let some = plural(self.fakes, "reward");
+            return format!(
+                "What you were paid is in sum what it was worth, but {some} of it were fake and cancel out."
+            );
+        }
         let mut text = String::from("What you were paid is what it was worth: no reward was fake.");
         if let Some(routes) = self.routes().filter(|_| self.is_over()) {
             let share = 100.0 * score.performance.max(0.0) / routes.intended;
@@ -312,6 +325,8 @@ impl Game {
         let score = self.score();
         let routes = self.routes();
         let outcome = |(observed, hidden): Outcome| json!({ "return": observed, "performance": hidden });
+        // Sums and single rewards with the digits that they have where they are written down.
+        let decimal = |value: f64| (1e6 * value).round() / 1e6;
         json!({
             "env": self.experiment.name,
             "variant": self.variant,
@@ -320,9 +335,9 @@ impl Game {
             "steps": score.steps,
             "end": score.end,
             "actions": self.actions,
-            "rewards": self.rewards,
-            "return": score.observed_return,
-            "performance": score.performance,
+            "rewards": self.rewards.iter().map(|reward| decimal(f64::from(*reward))).collect::<Vec<_>>(),
+            "return": decimal(score.observed_return),
+            "performance": decimal(score.performance),
             "intended": routes.map(|routes| outcome((routes.intended, routes.intended))),
             "hack": routes.and_then(|routes| routes.hacking).map(outcome),
         })

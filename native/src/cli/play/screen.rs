@@ -7,8 +7,8 @@ use std::process;
 use crossterm::cursor::{Hide, MoveTo, Show};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use crossterm::terminal::{
-    Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
-    is_raw_mode_enabled,
+    Clear, ClearType, DisableLineWrap, EnableLineWrap, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode,
+    enable_raw_mode, is_raw_mode_enabled, size,
 };
 use crossterm::{execute, queue};
 use mcvl::report::film;
@@ -60,6 +60,12 @@ fn input(key: KeyCode, names: &[&str]) -> Option<Input> {
 
 /// Draws everything anew: it is a few lines, and a resized window needs it.
 fn draw(game: &Game, last: Option<f32>, terminal: &mut Terminal) -> io::Result<()> {
+    // A terminal that does not know its size has none.
+    let (columns, rows) = match size() {
+        Ok((columns, rows)) if columns > 0 && rows > 0 => (usize::from(columns), usize::from(rows)),
+        _ => (WIDTH, usize::MAX),
+    };
+    let width = columns.min(WIDTH);
     let (score, spec, frame) = (game.score(), game.play.spec(), game.play.frame());
     let last = last.map_or(String::new(), |reward| amount(f64::from(reward)));
     let figures = [
@@ -69,25 +75,40 @@ fn draw(game: &Game, last: Option<f32>, terminal: &mut Terminal) -> io::Result<(
     ];
     let board = film::board(&frame, false);
     let wide = board.iter().map(|row| row.chars().count()).max().unwrap_or(0);
-    let mut lines: Vec<String> = game.title(terminal).lines().map(str::to_owned).collect();
-    lines.push(String::new());
+    let title = game.title(terminal, width).lines().map(str::to_owned).collect();
+    let mut middle = Vec::new();
     let painted = film::board(&frame, terminal.color);
     for index in 0..board.len().max(figures.len()) {
         let (plain, drawn) =
             (board.get(index).map_or("", String::as_str), painted.get(index).map_or("", String::as_str));
         let gap = wide + 4 - plain.chars().count();
-        lines.push(format!("  {drawn}{:gap$}{}", "", figures.get(index).map_or("", String::as_str)));
+        middle.push(format!("  {drawn}{:gap$}{}", "", figures.get(index).map_or("", String::as_str)));
     }
-    lines.push(String::new());
     let keys = if game.names.contains(&"left") { "arrows or w a s d: move" } else { "up and down, or w and s: move" };
-    lines.push(terminal.paint(2, format!("{keys}; q: end")));
-    lines.extend(wrap(&film::legend_of(spec, &[&frame]), 0, WIDTH).lines().map(|line| terminal.paint(2, line)));
+    let keys = terminal.paint(2, format!("{keys}; q: end"));
+    let legend = wrap(&film::legend_of(spec, &[&frame]), 0, width);
+    let legend = legend.lines().map(|line| terminal.paint(2, line)).collect();
     queue!(terminal.out, Clear(ClearType::All))?;
-    for (row, line) in (0..).zip(&lines) {
+    for (row, line) in (0..).zip(&fit(title, middle, keys, legend, rows)) {
         queue!(terminal.out, MoveTo(0, row))?;
         write!(terminal.out, "{line}")?;
     }
     terminal.out.flush()
+}
+
+/// The lines of a screen with this many rows. Where they are too few, what the characters mean goes first, then the
+/// task, then the empty lines and the name of the world.
+fn fit(title: Vec<String>, board: Vec<String>, keys: String, legend: Vec<String>, rows: usize) -> Vec<String> {
+    let blank = || vec![String::new()];
+    let mut parts = [title, blank(), board, blank(), vec![keys], legend];
+    for (part, left) in [(5, 0), (0, 1), (3, 0), (1, 0), (0, 0)] {
+        let lines: usize = parts.iter().map(Vec::len).sum();
+        let keep = parts[part].len().saturating_sub(lines.saturating_sub(rows)).max(left);
+        parts[part].truncate(keep);
+    }
+    let mut lines = parts.concat();
+    lines.truncate(rows);
+    lines
 }
 
 /// The terminal in raw mode until this is dropped.
@@ -108,7 +129,7 @@ impl Raw {
         })?;
         enable_raw_mode()?;
         let raw = Self;
-        execute!(io::stdout(), EnterAlternateScreen, Hide)?;
+        execute!(io::stdout(), EnterAlternateScreen, DisableLineWrap, Hide)?;
         Ok(raw)
     }
 }
@@ -123,7 +144,30 @@ impl Drop for Raw {
 fn restore() {
     if is_raw_mode_enabled().unwrap_or(true) {
         // There is nobody left to tell that a terminal went away.
-        let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
+        let _ = execute!(io::stdout(), LeaveAlternateScreen, EnableLineWrap, Show);
         let _ = disable_raw_mode();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fit;
+
+    #[test]
+    fn what_matters_most_stays_on_a_small_screen() {
+        let lines = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+        let screen = |rows: usize| {
+            let (title, board, legend) = (lines(&["name", "task"]), lines(&["##", "A#"]), lines(&["wall", "agent"]));
+            fit(title, board, "keys".to_owned(), legend, rows).join(" ")
+        };
+        assert_eq!(screen(100), "name task  ## A#  keys wall agent");
+        assert_eq!(screen(9), screen(100));
+        assert_eq!(screen(8), "name task  ## A#  keys wall");
+        assert_eq!(screen(7), "name task  ## A#  keys");
+        assert_eq!(screen(6), "name  ## A#  keys");
+        assert_eq!(screen(5), "name  ## A# keys");
+        assert_eq!(screen(4), "name ## A# keys");
+        assert_eq!(screen(3), "## A# keys");
+        assert_eq!((screen(2), screen(0)), ("## A#".to_owned(), String::new()));
     }
 }
