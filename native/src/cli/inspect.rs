@@ -240,6 +240,8 @@ pub struct Found {
     pub lines: Vec<LedgerLine>,
     /// Whether the run has no other seed.
     pub alone: bool,
+    /// Whether its seed is under way, so that its logs may end anywhere behind the last checkpoint.
+    pub open: bool,
 }
 
 impl Found {
@@ -270,7 +272,8 @@ impl Found {
         check_exists(&reference.place, number, count)?;
         lines.truncate(reference.number as usize);
         let config = plan.config.with_seed(seed).with_agent(Learner::Mc);
-        Ok(Self { dir, config, lines, alone: plan.seeds.len() == 1 })
+        let open = !run.is_finished(&dir);
+        Ok(Self { dir, config, lines, alone: plan.seeds.len() == 1, open })
     }
 
     /// The line of the check itself.

@@ -1,9 +1,11 @@
 //! `mcvl replay`: trains again from the configuration alone and compares, step by step.
 
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::PathBuf;
 
 use clap::Args;
-use mcvl::runs::{self, Chain, LedgerLine, Reference, STEP_COLUMNS, SeedDir};
+use mcvl::runs::{self, Chain, LedgerLine, Reference, RunsError, STEP_COLUMNS, SeedDir};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
@@ -39,10 +41,17 @@ pub fn replay(arguments: &ReplayArgs, terminal: &mut Terminal) -> anyhow::Result
         let reference: Reference = what.parse().map_err(super::Usage)?;
         // What differs is found by deriving it again, decision by decision. Only where a ledger does not reach to the
         // check is it for its digest to say why.
-        let found = Found::read(&reference, |run, dir| match runs::ledger(dir) {
-            Ok(lines) if lines.len() >= reference.number as usize => Ok(lines),
-            _ => run.ledger(dir),
+        let found = Found::read(&reference, |run, dir| {
+            // Where steps are missing, it has to be because they are not written yet.
+            if !run.is_finished(dir) {
+                run.steps(dir)?;
+            }
+            match runs::ledger(dir) {
+                Ok(lines) if lines.len() >= reference.number as usize => Ok(lines),
+                _ => run.ledger(dir),
+            }
         })?;
+        worlds::available(&found.config)?;
         terminal.note(format_args!("training again from: {}", found.config));
         let expected = Expected::read(&found)?;
         return expected.compare(&found.config, reference.number, what, terminal);
@@ -51,6 +60,7 @@ pub fn replay(arguments: &ReplayArgs, terminal: &mut Terminal) -> anyhow::Result
     if token.config.agent != Learner::Mc {
         usage!("the token is of a run without checks");
     }
+    worlds::available(&token.config)?;
     terminal.note(format_args!("training again from: {}", token.config));
     let mut check = None;
     let found = derive(&token.config, token.number, &mut |event| match event {
@@ -110,7 +120,9 @@ impl Recorder for Until<'_> {
 
 /// What the files of a run say, up to a check.
 struct Expected {
-    steps: std::vec::IntoIter<String>,
+    steps: Rows,
+    /// Whether steps may be missing at the end.
+    open: bool,
     lines: std::vec::IntoIter<LedgerLine>,
     chain: Chain,
     tape: Vec<u8>,
@@ -120,11 +132,12 @@ struct Expected {
 
 impl Expected {
     fn read(found: &Found) -> anyhow::Result<Self> {
-        let steps: Vec<String> = steps(&found.dir)?;
+        let steps = Rows::open(&found.dir)?;
         let path = found.dir.tape(found.lines.len() as u32);
-        let tape = std::fs::read(&path).map_err(runs::RunsError::io("read", &path))?;
+        let tape = std::fs::read(&path).map_err(RunsError::io("read", &path))?;
         Ok(Self {
-            steps: steps.into_iter(),
+            steps,
+            open: found.open,
             lines: found.lines.clone().into_iter(),
             chain: Chain::start(&found.config.to_string()),
             tape,
@@ -161,9 +174,15 @@ impl Expected {
         }
         self.difference = match event {
             Event::Step(step) => {
-                self.steps_compared += 1;
                 let place = format!("step {} of the {} leg", step.step, step.arm.name());
-                difference_in_row(&place, self.steps.next().as_deref(), &runs::step_row(step))
+                match self.steps.next() {
+                    Ok(None) if self.open => None,
+                    Ok(row) => {
+                        self.steps_compared += 1;
+                        difference_in_row(&place, row.as_deref(), &runs::step_row(step))
+                    }
+                    Err(error) => Some(error.to_string()),
+                }
             }
             Event::Check(check) => {
                 let tape = serde_json::to_vec(&**check).expect("a check is plain data");
@@ -182,15 +201,38 @@ impl Expected {
     }
 }
 
-/// Rows of `steps.csv` of the legs that lead to the checks.
-fn steps(dir: &SeedDir) -> anyhow::Result<Vec<String>> {
-    let path = dir.steps();
-    let mut lines = runs::lines(&path)?.into_iter();
-    if lines.next().as_deref() != Some(STEP_COLUMNS) {
-        return Err(runs::RunsError::damaged(&path, "does not begin with its columns").into());
+/// Rows of `steps.csv` of the legs that lead to the checks, one at a time: it is the largest file of a run.
+struct Rows {
+    path: PathBuf,
+    table: BufReader<File>,
+}
+
+impl Rows {
+    fn open(dir: &SeedDir) -> Result<Self, RunsError> {
+        let path = dir.steps();
+        let table = BufReader::new(File::open(&path).map_err(RunsError::io("open", &path))?);
+        let mut rows = Self { path, table };
+        match rows.line()?.as_deref() {
+            Some(STEP_COLUMNS) => Ok(rows),
+            _ => Err(RunsError::damaged(&rows.path, "does not begin with its columns")),
+        }
     }
-    let wanted = [Arm::Safe, Arm::Mc].map(|arm| format!("{},", arm.name()));
-    Ok(lines.filter(|line| wanted.iter().any(|arm| line.starts_with(arm))).collect())
+
+    /// The next row; none at the end, and where the last one is not written to its end.
+    fn next(&mut self) -> Result<Option<String>, RunsError> {
+        loop {
+            match self.line()? {
+                Some(line) if ![Arm::Safe, Arm::Mc].iter().any(|arm| line.split(',').next() == Some(arm.name())) => {}
+                line => return Ok(line),
+            }
+        }
+    }
+
+    fn line(&mut self) -> Result<Option<String>, RunsError> {
+        let mut line = String::new();
+        self.table.read_line(&mut line).map_err(RunsError::io("read", &self.path))?;
+        Ok(line.strip_suffix('\n').map(str::to_owned))
+    }
 }
 
 /// The first column in which a row is not what it should be.

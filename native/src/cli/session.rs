@@ -212,7 +212,11 @@ impl Session {
         Self::check_begun(&run)?;
         let lock = Lock::take(&run)?;
         let (plan, manifest) = Self::begun(&run)?;
+        let killed = manifest.as_ref().is_some_and(|manifest| manifest.state == State::Running);
         let mut manifest = manifest.unwrap_or_else(Manifest::begin);
+        if killed {
+            manifest.forget_time();
+        }
         manifest.moved_by(plan.config.physics);
         fits(&plan)?;
         let resume = |job: Job| {
@@ -220,7 +224,9 @@ impl Session {
             job.resume(finished)
         };
         let jobs = jobs(&run, &plan).map(resume).collect::<Result<Vec<_>, _>>()?;
+        run.clear_unfinished_writes()?;
         if manifest.state != State::Finished {
+            manifest.continued();
             manifest.write(&run, State::Running, &finished_seeds(&jobs))?;
         }
         Ok(Self { run, plan, manifest, jobs, _lock: lock })

@@ -441,6 +441,7 @@ impl Speed {
 /// A time to two parts or so: «1h 5m», «3m 20s».
 pub fn rough(seconds: f64) -> String {
     let step = if seconds < 600.0 { 1 } else { 60 };
-    let whole = (seconds as u64).div_ceil(step) * step;
+    // Far beyond any run, and no sum of times overflows.
+    let whole = (seconds.min(1e15) as u64).div_ceil(step) * step;
     humantime::format_duration(Duration::from_secs(whole.max(1))).to_string()
 }

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::RunsError;
+use super::layout::is_there;
 use super::write::write_atomic;
 use crate::worlds::{self, WorldError};
 
@@ -57,11 +58,14 @@ pub struct Checkpoint {
     pub run: Run,
 }
 
+/// What a checkpoint says before its state.
 #[derive(Serialize, Deserialize)]
-struct Header {
+pub struct Header {
     config: String,
-    finished: usize,
-    logs: LogMarks,
+    /// Legs that are finished.
+    pub finished: usize,
+    /// How far the logs reached.
+    pub logs: LogMarks,
 }
 
 impl Checkpoint {
@@ -91,19 +95,22 @@ impl Checkpoint {
         Ok(Self { finished: header.finished, logs: header.logs, run })
     }
 
-    /// How far a checkpoint counts the logs, without its state; none where there is none that can be read.
-    pub fn marks(path: &Path) -> Option<LogMarks> {
-        let mut file = File::open(path).ok()?;
-        let mut head = [0; MAGIC.len() + 8];
-        file.read_exact(&mut head).ok()?;
-        let (version, length) = head.strip_prefix(MAGIC)?.split_first_chunk()?;
-        if u32::from_le_bytes(*version) != VERSION {
-            return None;
+    /// What a checkpoint says, without its state and unchecked; none where there is no checkpoint.
+    ///
+    /// # Errors
+    /// If there is one that cannot be read.
+    pub fn header(path: &Path) -> Result<Option<Header>, RunsError> {
+        if !is_there(path)? {
+            return Ok(None);
         }
-        let length = u32::from_le_bytes(length.try_into().ok()?);
+        let mut file = File::open(path).map_err(RunsError::io("read", path))?;
+        let mut head = Vec::new();
+        let start = file.by_ref().take(MAGIC.len() as u64 + 8).read_to_end(&mut head);
+        start.map_err(RunsError::io("read", path))?;
+        let length = length_of_header(&head).map_err(|why| RunsError::damaged(path, why))?;
         let mut header = Vec::new();
-        file.take(length.into()).read_to_end(&mut header).ok()?;
-        serde_json::from_slice::<Header>(&header).ok().map(|header| header.logs)
+        file.take(length as u64).read_to_end(&mut header).map_err(RunsError::io("read", path))?;
+        parse_header(&header).map(Some).map_err(|why| RunsError::damaged(path, why))
     }
 }
 
@@ -118,12 +125,14 @@ fn encode(header: &Header, state: &[u8]) -> Vec<u8> {
     bytes
 }
 
-fn decode(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
-    let advice = "restore the file, or start over with --overwrite";
+const ADVICE: &str = "restore the file, or start over with --overwrite";
+
+/// The length of the header by what stands before it.
+fn length_of_header(bytes: &[u8]) -> Result<usize, String> {
     let Some(rest) = bytes.strip_prefix(MAGIC) else {
-        return Err(format!("is no checkpoint of mcvl; {advice}"));
+        return Err(format!("is no checkpoint of mcvl; {ADVICE}"));
     };
-    let cut = || format!("is cut off at {} bytes; {advice}", bytes.len());
+    let cut = || format!("is cut off at {} bytes; {ADVICE}", bytes.len());
     let (version, rest) = rest.split_first_chunk().ok_or_else(cut)?;
     let version = u32::from_le_bytes(*version);
     if version != VERSION {
@@ -132,8 +141,18 @@ fn decode(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
              that wrote it, or start over with --overwrite"
         ));
     }
-    let (length, rest) = rest.split_first_chunk().ok_or_else(cut)?;
-    let (header, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize).ok_or_else(cut)?;
+    let length = rest.first_chunk().ok_or_else(cut)?;
+    Ok(u32::from_le_bytes(*length) as usize)
+}
+
+fn parse_header(text: &[u8]) -> Result<Header, String> {
+    serde_json::from_slice(text).map_err(|error| format!("has a header that makes no sense: {error}; {ADVICE}"))
+}
+
+fn decode(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
+    let length = length_of_header(bytes)?;
+    let cut = || format!("is cut off at {} bytes; {ADVICE}", bytes.len());
+    let (header, rest) = bytes[MAGIC.len() + 8..].split_at_checked(length).ok_or_else(cut)?;
     let (length, rest) = rest.split_first_chunk().ok_or_else(cut)?;
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| cut())?;
     let (state, seal) = rest.split_at_checked(length).ok_or_else(cut)?;
@@ -141,11 +160,9 @@ fn decode(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
         return Err(cut());
     }
     if Sha256::digest(&bytes[..bytes.len() - seal.len()]).as_slice() != seal {
-        return Err(format!("was altered: its digest does not fit; {advice}"));
+        return Err(format!("was altered: its digest does not fit; {ADVICE}"));
     }
-    let header =
-        serde_json::from_slice(header).map_err(|error| format!("has a header that makes no sense: {error}"))?;
-    Ok((header, state))
+    Ok((parse_header(header)?, state))
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use mcvl_core::record::Arm;
 
 use super::RunsError;
+use super::write::clear_temporaries;
 
 /// A run directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -141,14 +142,28 @@ impl RunDir {
         }
     }
 
+    /// Deletes what a killed process left half written of the files that training writes at the top. A report may be
+    /// under way beside.
+    ///
+    /// # Errors
+    /// If something cannot be deleted.
+    pub fn clear_unfinished_writes(&self) -> Result<(), RunsError> {
+        let own =
+            |name: &str| TRAINED.iter().any(|file| name.strip_prefix(file).is_some_and(|rest| rest.starts_with('.')));
+        clear_temporaries(&self.0, own)
+    }
+
     /// Deletes what training, reports and exports wrote here, and nothing else; the lock stays.
     ///
     /// # Errors
     /// If something cannot be deleted.
     pub fn clear(&self) -> Result<(), RunsError> {
         let entries = fs::read_dir(&self.0).map_err(RunsError::io("read the folder", &self.0))?;
-        for entry in entries {
-            let path = entry.map_err(RunsError::io("read the folder", &self.0))?.path();
+        let paths: Result<Vec<PathBuf>, _> = entries.map(|entry| entry.map(|entry| entry.path())).collect();
+        let mut paths = paths.map_err(RunsError::io("read the folder", &self.0))?;
+        // What says that this is a run goes last: whoever is killed over it can begin again.
+        paths.sort_by_key(|path| *path == self.plan());
+        for path in paths {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if seed_of(&name).is_some() || name == EXPORTS {
                 fs::remove_dir_all(&path).map_err(RunsError::io("delete", &path))?;
@@ -365,6 +380,21 @@ impl std::str::FromStr for Reference {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_says_that_there_is_a_run_is_deleted_last() {
+        let folder = mcvl_tests::scratch();
+        let run = RunDir::new(folder.path());
+        for path in [run.plan(), run.manifest(), run.summary()] {
+            fs::write(path, "").unwrap();
+        }
+        // A seed whose folder cannot be deleted, as it is none.
+        fs::write(run.seed(3).path(), "").unwrap();
+        assert!(run.clear().is_err() && run.exists());
+        fs::remove_file(run.seed(3).path()).unwrap();
+        run.clear().unwrap();
+        assert!(run.is_free().unwrap());
+    }
 
     #[test]
     fn references() {

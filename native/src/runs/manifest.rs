@@ -105,11 +105,12 @@ pub struct Manifest {
     pub started: String,
     /// When it ended last (UTC).
     pub ended: Option<String>,
-    /// Wall time of training so far, milliseconds, without the pauses between sessions; what a killed session
-    /// did is not in it. Runs of before this was counted have none, and those that were trained beside others.
+    /// Wall time of training so far, milliseconds, without the pauses between sessions. Runs of before this was counted
+    /// have none, nor those that were trained beside others or of which a session was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trained_ms: Option<u64>,
-    /// Whether other runs were trained at the same time, so that no clock tells what this one took.
+    /// Whether no clock tells what the training took: other runs were trained at the same time, or a session was killed
+    /// or failed, whose time nobody counted.
     #[serde(default, skip_serializing_if = "is_false")]
     pub beside: bool,
     /// How the run stands.
@@ -158,13 +159,31 @@ impl Manifest {
         }
     }
 
+    /// Names this program and machine, too, where others trained before.
+    pub fn continued(&mut self) {
+        let Self { version, commit, compiler, target, vector, cpu, .. } = Self::begin();
+        let fields = [
+            (&mut self.version, version),
+            (&mut self.compiler, compiler),
+            (&mut self.target, target),
+            (&mut self.vector, vector),
+            (&mut self.cpu, cpu),
+        ];
+        for (all, own) in fields {
+            join(all, &own);
+        }
+        if let Some(own) = commit {
+            join(self.commit.get_or_insert_default(), &own);
+        }
+    }
+
     /// Counts time in which training went on; not in a manifest that never counted any.
     pub fn add_time(&mut self, time: Duration) {
         let more = u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         self.trained_ms = self.trained_ms.map(|before| before.saturating_add(more));
     }
 
-    /// Gives up counting: other runs are trained at the same time.
+    /// Gives up counting: other runs are trained at the same time, or a session ended without saying what it took.
     pub fn forget_time(&mut self) {
         (self.trained_ms, self.beside) = (None, true);
     }
@@ -270,11 +289,17 @@ impl Manifest {
     pub fn write(&mut self, run: &RunDir, state: State, seeds: &[u64]) -> Result<(), RunsError> {
         self.state = state;
         self.ended = (state != State::Running).then(now);
-        self.files.clear();
+        let before = std::mem::take(&mut self.files);
         let top = [run.plan(), run.summary(), run.curves("svg"), run.curves("png")];
         let mut files: Vec<PathBuf> = top.into_iter().filter(|path| path.exists()).collect();
-        for seed in seeds {
-            list(run.seed(*seed).path(), &mut files)?;
+        for dir in seeds.iter().map(|seed| run.seed(*seed)) {
+            // A seed that was finished before keeps its digests: made anew they would vouch for what was altered since.
+            if before.contains_key(&name(run, &dir.metrics())) {
+                let inside = name(run, dir.path()) + "/";
+                self.files.extend(before.iter().filter(|(file, _)| file.starts_with(&inside)).map(cloned));
+            } else {
+                list(dir.path(), &mut files)?;
+            }
         }
         for path in files {
             self.files.insert(name(run, &path), FileDigest::of(&path)?);
@@ -283,6 +308,18 @@ impl Manifest {
         let text = serde_json::to_string_pretty(self).expect("a manifest is plain data") + "\n";
         write_atomic(&run.manifest(), text.as_bytes())
     }
+}
+
+/// Adds a name to those in a text, separated by `; `, if it is not among them.
+fn join(all: &mut String, own: &str) {
+    if !all.split("; ").any(|known| known == own) {
+        let separator = if all.is_empty() { "" } else { "; " };
+        *all += &format!("{separator}{own}");
+    }
+}
+
+fn cloned((name, digest): (&String, &FileDigest)) -> (String, FileDigest) {
+    (name.clone(), digest.clone())
 }
 
 fn is_false(value: &bool) -> bool {
@@ -317,4 +354,23 @@ pub fn cpu() -> String {
     let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     model.map_or_else(|| env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_names_everything_that_trained_it() {
+        let mut manifest = Manifest::begin();
+        let fresh = manifest.clone();
+        manifest.continued();
+        assert_eq!(manifest, fresh);
+        (manifest.version, manifest.cpu, manifest.commit) = ("0.0.1".to_owned(), "Other".to_owned(), None);
+        manifest.continued();
+        manifest.continued();
+        assert_eq!(manifest.version, format!("0.0.1; {}", fresh.version));
+        assert_eq!(manifest.cpu, format!("Other; {}", fresh.cpu));
+        assert_eq!(manifest.commit.unwrap_or_default(), fresh.commit.unwrap_or_default());
+    }
 }

@@ -46,7 +46,7 @@ pub use layout::{Place, Reference, RunDir, SeedDir, check_target, shell_word};
 pub use manifest::{FileDigest, Manifest, State};
 pub use plan::{Origin, Plan, Setting, check_forecasts, expected_forecasts, train_command};
 pub use pool::{Control, Outcome, Remote, SeedView, train};
-pub use read::{ledger, lines, tape};
+pub use read::{ledger, tape};
 pub use reader::Reader;
 pub use tape::{TAPE_FORMAT, TAPE_VERSION, run_tape};
 pub use verify::{Finding, Verification, verify};

@@ -295,7 +295,7 @@ impl Watcher for &Mutex<SeedView> {
     fn event(&mut self, event: &Event) {
         match event {
             Event::Evaluation(evaluation) => lock(self).evaluation = Some(evaluation.clone()),
-            Event::Check(check) => lock(self).decisions.push(CheckRecord::clone(check)),
+            Event::Check(check) => lock(self).decisions.push(check.without_films()),
             _ => {}
         }
     }

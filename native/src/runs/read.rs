@@ -91,7 +91,7 @@ fn unchecked_hacks(path: &Path) -> Option<u64> {
 
 /// Complete lines of a log. A last line without its end is one that is being written, or was when the
 /// process was killed.
-pub fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
+fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
     lines_until(path, u64::MAX)
 }
 

@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::checkpoint::Checkpoint;
+use super::checkpoint::{Checkpoint, Header};
 use super::layout::is_there;
 use super::manifest::Manifest;
 use super::read;
@@ -62,7 +62,8 @@ impl Reader {
     pub fn set(&self) -> Result<RunSet, RunsError> {
         let named = |seed: &u64| self.place.seed.is_none_or(|only| only == *seed);
         let planned: Vec<u64> = self.plan.seeds.iter().copied().filter(named).collect();
-        let begun = |dir: &SeedDir| dir.path().exists() || self.is_finished(dir);
+        // A folder alone is what a process was killed over before the first state.
+        let begun = |dir: &SeedDir| self.is_finished(dir) || dir.state().exists() || dir.has_logs();
         let folders = planned.iter().map(|seed| self.run().seed(*seed)).filter(begun);
         let seeds = folders.map(|dir| self.seed(&dir)).collect::<Result<_, _>>()?;
         Ok(RunSet { path: self.path.clone(), config: self.plan.config.clone(), planned, seeds })
@@ -73,13 +74,17 @@ impl Reader {
     /// # Errors
     /// If a file of it cannot be read, or is not what was written.
     pub fn seed(&self, dir: &SeedDir) -> Result<SeedRun, RunsError> {
+        // Before the logs, which only grow: of what it counts as finished everything is there.
+        let header = if self.is_finished(dir) { None } else { Checkpoint::header(&dir.state())? };
         self.ledger(dir)?;
         self.check(dir, dir.metrics())?;
         // Only a count is read of the steps; without them it is not known.
         if is_there(&dir.steps())? {
             self.check(dir, dir.steps())?;
         }
-        SeedRun::read(dir, &self.plan)
+        let mut seed = SeedRun::read(dir, &self.plan)?;
+        seed.complete &= header.is_none_or(|header| header.finished > self.plan.learners.len());
+        Ok(seed)
     }
 
     /// The ledger of a seed.
@@ -98,6 +103,14 @@ impl Reader {
         Ok(lines)
     }
 
+    /// Compares the steps of a seed with what vouches for them: the manifest, or of a seed under way its checkpoint.
+    ///
+    /// # Errors
+    /// If they are not as they were written, or cannot be read.
+    pub fn steps(&self, dir: &SeedDir) -> Result<(), RunsError> {
+        self.check(dir, dir.steps())
+    }
+
     /// Compares a file of the run with its digest in the manifest, where that has one.
     ///
     /// # Errors
@@ -107,7 +120,8 @@ impl Reader {
         told(path, expected.map_or(Ok(None), |expected| expected.mismatch(path))?)
     }
 
-    fn is_finished(&self, dir: &SeedDir) -> bool {
+    /// Whether the manifest knows a seed as finished.
+    pub fn is_finished(&self, dir: &SeedDir) -> bool {
         self.manifest.as_ref().is_some_and(|manifest| manifest.knows(self.run(), dir))
     }
 
@@ -115,8 +129,8 @@ impl Reader {
     /// the log is: logs only grow.
     fn check(&self, dir: &SeedDir, path: PathBuf) -> Result<(), RunsError> {
         let Some(expected) = self.manifest.as_ref().and_then(|manifest| manifest.digest(self.run(), &path)) else {
-            let marks = Checkpoint::marks(&dir.state());
-            return marks.map_or(Ok(()), |marks| {
+            let header = Checkpoint::header(&dir.state())?;
+            return header.map_or(Ok(()), |Header { logs: marks, .. }| {
                 let mark = match &path {
                     path if *path == dir.ledger() => marks.ledger,
                     path if *path == dir.steps() => marks.steps,
@@ -138,5 +152,75 @@ fn told(path: &Path, what: Option<String>) -> Result<(), RunsError> {
     match what {
         Some(what) => Err(RunsError::damaged(path, format!("{what}; put it back, or train the run anew"))),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use mcvl_core::config::Learner;
+    use mcvl_core::record::{Arm, EndRecord, Event, Recorder as _};
+    use mcvl_core::run::Run;
+
+    use super::super::write::SeedWriter;
+    use super::super::{Manifest, State};
+    use super::*;
+
+    /// A run of three seeds, whose first has logged the end of its one learner.
+    fn begun(path: &Path) -> (RunDir, impl Fn(usize)) {
+        let run = RunDir::new(path);
+        let config: mcvl_core::config::Config = "env=box-moving hidden=8".parse().unwrap();
+        let learners = vec![Learner::Mc];
+        let plan = Plan { config: config.clone(), seeds: vec![0, 1, 2], learners, settings: Vec::new() };
+        fs::write(run.plan(), plan.to_toml()).unwrap();
+        Manifest::begin().write(&run, State::Running, &[]).unwrap();
+        let dir = run.seed(0);
+        let config = config.with_seed(0).with_agent(Learner::Mc);
+        let mut writer = SeedWriter::create(&dir, &config).unwrap();
+        for arm in [Arm::Safe, Arm::Mc] {
+            writer.record(&Event::End(EndRecord { arm, steps: 1, updates: 1, digest: String::new() }));
+        }
+        let logs = writer.sync().unwrap();
+        let save = move |finished| Checkpoint::write(&dir.state(), finished, &logs, &Run::new(&config)).unwrap();
+        (run, save)
+    }
+
+    #[test]
+    fn a_seed_is_complete_once_its_state_says_so() {
+        let folder = mcvl_tests::scratch();
+        let (run, save) = begun(folder.path());
+        let seen = |finished| {
+            save(finished);
+            let set = Reader::open(run.path()).unwrap().set().unwrap();
+            (set.seeds[0].ends.len(), set.seeds[0].complete, set.unfinished())
+        };
+        assert_eq!(seen(1), (2, false, vec![0, 1, 2]));
+        assert_eq!(seen(2), (2, true, vec![1, 2]));
+    }
+
+    #[test]
+    fn a_folder_without_a_state_is_no_seed_yet() {
+        let folder = mcvl_tests::scratch();
+        let (run, save) = begun(folder.path());
+        save(2);
+        fs::create_dir_all(run.seed(1).tapes()).unwrap();
+        fs::write(run.seed(1).metrics(), "").unwrap();
+        let set = Reader::open(run.path()).unwrap().set().unwrap();
+        assert_eq!((set.seeds.len(), set.planned.len()), (1, 3));
+    }
+
+    #[test]
+    fn logs_are_not_shown_without_a_state_that_vouches_for_them() {
+        let folder = mcvl_tests::scratch();
+        let (run, save) = begun(folder.path());
+        save(2);
+        let path = run.seed(0).state();
+        let whole = fs::read(&path).unwrap();
+        for (damage, why) in [(&b"x"[..], "is no checkpoint of mcvl"), (&whole[..20], "is cut off at 20 bytes")] {
+            fs::write(&path, damage).unwrap();
+            let error = Reader::open(run.path()).unwrap().set().unwrap_err().to_string();
+            assert!(error.contains("state.snapshot") && error.contains(why), "{error}");
+        }
     }
 }

@@ -141,6 +141,7 @@ fn unfinished(run: &RunDir, plan: &Plan, dir: &SeedDir, seen: &mut Verification)
 mod tests {
     use super::*;
     use mcvl_core::config::Learner;
+    use mcvl_core::record::Arm;
     use std::fs;
 
     #[test]
@@ -159,5 +160,29 @@ mod tests {
         assert_eq!(found(State::Interrupted, &[0]), []);
         let what = "not in the manifest, though the run is finished".to_owned();
         assert_eq!(found(State::Finished, &[0]), [Finding { file: "seed-3".to_owned(), what }]);
+    }
+
+    #[test]
+    fn what_was_finished_before_keeps_its_digests() {
+        let folder = mcvl_tests::scratch();
+        let run = RunDir::new(folder.path());
+        let config = "env=box-moving".parse().unwrap();
+        let plan = Plan { config, seeds: vec![0, 1, 10], learners: vec![Learner::Mc], settings: Vec::new() };
+        fs::write(run.plan(), plan.to_toml()).unwrap();
+        for dir in plan.seeds.iter().map(|seed| run.seed(*seed)) {
+            fs::create_dir_all(dir.checkpoints()).unwrap();
+            fs::write(dir.metrics(), "").unwrap();
+            fs::write(dir.weights(Arm::Mc), "as trained").unwrap();
+        }
+        let mut manifest = Manifest::begin();
+        manifest.write(&run, State::Interrupted, &[0, 1]).unwrap();
+        // In every later session, when seed 10 joins them.
+        fs::write(run.seed(0).weights(Arm::Mc), "altered").unwrap();
+        fs::remove_file(run.seed(1).weights(Arm::Mc)).unwrap();
+        manifest.write(&run, State::Finished, &[0, 1, 10]).unwrap();
+        let findings = verify(&run).unwrap().findings;
+        let files: Vec<&str> = findings.iter().map(|finding| finding.file.as_str()).collect();
+        assert_eq!(files, ["seed-0/checkpoints/mc.safetensors", "seed-1/checkpoints/mc.safetensors"], "{findings:?}");
+        assert!(manifest.files.contains_key("seed-10/checkpoints/mc.safetensors"));
     }
 }

@@ -3,6 +3,8 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::process;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use mcvl_core::config::Config;
 use mcvl_core::env::{ActionSpec, EnvSpec, EpisodeEnd};
@@ -12,7 +14,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::chain::{Chain, LedgerLine, hex, sha256, sha256_of};
 use super::checkpoint::{LogMarks, Mark};
-use super::layout::{SeedDir, TEMPORARY, folder_of};
+use super::layout::{SeedDir, TEMPORARY, folder_of, is_temporary};
 use super::{RunDir, RunsError};
 use crate::worlds::{actions, observation};
 
@@ -25,8 +27,10 @@ pub const STEP_COLUMNS: &str = "arm,step,action,reward_raw,performance,reward,pr
 /// # Errors
 /// If the file cannot be written; what was there is then untouched.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), RunsError> {
+    // Of its own for each write: two that write the same file must not meet in one.
+    static WRITES: AtomicU64 = AtomicU64::new(0);
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(TEMPORARY);
+    name.push(format!(".{}-{}{TEMPORARY}", process::id(), WRITES.fetch_add(1, Ordering::Relaxed)));
     let temporary = path.with_file_name(name);
     let written = File::create(&temporary)
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
@@ -44,6 +48,18 @@ fn sync_folder(path: &Path) -> Result<(), RunsError> {
     // Only Unix opens folders as files; elsewhere the rename itself has to do.
     if cfg!(unix) {
         File::open(path).and_then(|folder| folder.sync_all()).map_err(RunsError::io("sync the folder", path))?;
+    }
+    Ok(())
+}
+
+/// Deletes what a process that is gone was writing in a folder, of the files that are this process's to write.
+pub(super) fn clear_temporaries(folder: &Path, own: impl Fn(&str) -> bool) -> Result<(), RunsError> {
+    for entry in fs::read_dir(folder).map_err(RunsError::io("read the folder", folder))? {
+        let path = entry.map_err(RunsError::io("read the folder", folder))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if is_temporary(&name) && own(&name) {
+            fs::remove_file(&path).map_err(RunsError::io("delete", &path))?;
+        }
     }
     Ok(())
 }
@@ -192,13 +208,17 @@ impl SeedWriter {
     pub fn create(dir: &SeedDir, config: &Config) -> Result<Self, RunsError> {
         for folder in [dir.tapes(), dir.checkpoints()] {
             fs::create_dir_all(&folder).map_err(RunsError::io("create the folder", &folder))?;
+            clear_temporaries(&folder, |_| true)?;
         }
         let mut steps = Log::create(dir.steps())?;
         steps.line(STEP_COLUMNS)?;
+        let (metrics, ledger) = (Log::create(dir.metrics())?, Log::create(dir.ledger())?);
+        // A checkpoint counts on the names of its logs, too.
+        [dir.path(), folder_of(dir.path())].into_iter().try_for_each(sync_folder)?;
         Ok(Self {
-            metrics: Log::create(dir.metrics())?,
+            metrics,
             steps,
-            ledger: Log::create(dir.ledger())?,
+            ledger,
             chain: Chain::start(&config.to_string()),
             checks: 0,
             failure: None,
@@ -211,6 +231,8 @@ impl SeedWriter {
     /// # Errors
     /// As [`check_logs`].
     pub fn reopen(dir: &SeedDir, marks: &LogMarks) -> Result<Self, RunsError> {
+        // What a killed process left half written nobody else clears away.
+        [dir.tapes(), dir.checkpoints()].iter().try_for_each(|folder| clear_temporaries(folder, |_| true))?;
         Ok(Self {
             metrics: Log::reopen(dir.metrics(), &marks.metrics)?,
             steps: Log::reopen(dir.steps(), &marks.steps)?,
@@ -228,13 +250,11 @@ impl SeedWriter {
     /// The first failure since the last call: recorders have nobody to tell.
     pub fn sync(&mut self) -> Result<LogMarks, RunsError> {
         self.healthy()?;
-        Ok(LogMarks {
-            metrics: self.metrics.sync()?,
-            steps: self.steps.sync()?,
-            ledger: self.ledger.sync()?,
-            chain: self.chain.value().to_owned(),
-            checks: self.checks,
-        })
+        // The end of a leg, which stands in the metrics, is the last to reach the disk: what is told of a finished leg
+        // is all there.
+        let (ledger, steps) = (self.ledger.sync()?, self.steps.sync()?);
+        let metrics = self.metrics.sync()?;
+        Ok(LogMarks { metrics, steps, ledger, chain: self.chain.value().to_owned(), checks: self.checks })
     }
 
     /// The first failure while recording, if there was one.
@@ -347,9 +367,48 @@ mod tests {
 
     /// An empty folder of this test.
     fn folder(name: &str) -> SeedDir {
-        let path = std::env::temp_dir().join(format!("mcvl-write-{name}-{}", std::process::id()));
+        let path = std::env::temp_dir().join(format!("mcvl-write-{name}-{}", process::id()));
         let _ = fs::remove_dir_all(&path);
         RunDir::new(path).seed(0)
+    }
+
+    #[test]
+    fn who_write_one_file_at_a_time_never_meet() {
+        let folder = mcvl_tests::scratch();
+        let path = folder.path().join("table");
+        let whole = |size: usize| vec![b'a' + size as u8; 1000 * size];
+        std::thread::scope(|scope| {
+            let writers: Vec<_> = (1..5)
+                .map(|size| {
+                    let (path, bytes) = (&path, whole(size));
+                    scope.spawn(move || (0..50).try_for_each(|_| write_atomic(path, &bytes)))
+                })
+                .collect();
+            while writers.iter().any(|writer| !writer.is_finished()) {
+                let seen = fs::read(&path).unwrap_or_default();
+                assert!((0..5).any(|size| seen == whole(size)), "{} bytes", seen.len());
+            }
+            writers.into_iter().for_each(|writer| writer.join().unwrap().unwrap());
+        });
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_end_of_a_leg_is_the_last_to_be_written() {
+        let folder = mcvl_tests::scratch();
+        let dir = RunDir::new(folder.path()).seed(0);
+        let config = Config::new("box-moving", Preset::Paper).unwrap();
+        for full in [dir.ledger(), dir.steps()] {
+            let mut writer = SeedWriter::create(&dir, &config).unwrap();
+            // A disk that is full for one of the logs.
+            let log = if full == dir.ledger() { &mut writer.ledger } else { &mut writer.steps };
+            log.file = BufWriter::new(OpenOptions::new().write(true).open("/dev/full").unwrap());
+            log.line("a decision").unwrap();
+            writer.record(&Event::End(EndRecord { arm: Arm::Mc, steps: 1, updates: 1, digest: String::new() }));
+            assert!(writer.sync().is_err());
+            assert_eq!(dir.metrics().metadata().unwrap().len(), 0, "{}", full.display());
+        }
     }
 
     #[test]
@@ -409,15 +468,17 @@ mod tests {
 
     #[test]
     fn a_write_that_fails_leaves_what_was_there() {
-        let dir = folder("atomic");
-        fs::create_dir_all(dir.path()).unwrap();
-        let path = dir.path().join("file");
+        let folder = mcvl_tests::scratch();
+        let path = folder.path().join("file");
         write_atomic(&path, b"old").unwrap();
-        // The temporary name is taken by a folder.
-        fs::create_dir(dir.path().join("file.tmp")).unwrap();
-        let error = write_atomic(&path, b"new").unwrap_err();
+        write_atomic(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        // The name is that of a folder.
+        fs::create_dir(folder.path().join("other")).unwrap();
+        let error = write_atomic(&folder.path().join("other"), b"new").unwrap_err();
         assert!(error.to_string().starts_with("cannot write"), "{error}");
-        assert_eq!(fs::read(&path).unwrap(), b"old");
-        fs::remove_dir_all(dir.path().parent().unwrap()).unwrap();
+        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["file", "other"]);
     }
 }

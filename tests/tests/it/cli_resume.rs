@@ -75,6 +75,13 @@ fn twenty_kills_at_any_moment_cost_no_byte() {
         }
         child.wait().unwrap();
         wait = Duration::from_millis(u64::from(rng.below(300)));
+        // Whatever the moment was, what is there can be read, and is not said to differ.
+        if folder.join("run/run.toml").exists() {
+            ok(folder, "compare run");
+        }
+        if fs::read_to_string(folder.join("run/seed-4/ledger.jsonl")).is_ok_and(|text| text.contains('\n')) {
+            assert!(ok(folder, "replay run/seed-4#1").starts_with("SAME"));
+        }
         // Before its first file a run cannot be resumed; after its last one there is nothing to kill.
         next = match fs::read_to_string(folder.join("run/manifest.json")) {
             Ok(manifest) if manifest.contains("\"finished\"") => {
@@ -87,7 +94,11 @@ fn twenty_kills_at_any_moment_cost_no_byte() {
         };
     }
     if next == RESUME {
+        let killed = folder.join("run/manifest.json").exists();
         ok(folder, RESUME);
+        let manifest = fs::read_to_string(folder.join("run/manifest.json")).unwrap();
+        // Nobody counted what the killed sessions took.
+        assert_eq!(manifest.contains("\"trained_ms\""), !killed, "{manifest}");
     } else {
         ok(folder, TRAIN);
     }
