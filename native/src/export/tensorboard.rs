@@ -48,15 +48,19 @@ type Point = (u32, Vec<(&'static str, f64)>);
 fn points(seed: &SeedRun, leg: Arm) -> Vec<Point> {
     let mut points: Vec<Point> = Vec::new();
     let checks: Vec<_> = seed.checks.iter().filter(|check| check.arm == leg).collect();
+    // Both lists are in the order of steps, so each check is counted once.
+    let (mut open, mut so_far, mut refused) = (checks.iter().peekable(), 0u32, 0u32);
     for point in seed.evaluations.iter().filter(|point| point.arm == leg) {
-        let so_far = checks.iter().filter(|check| check.step <= point.step);
-        let refused = so_far.clone().filter(|check| check.verdict == Verdict::Refuse);
+        while let Some(check) = open.next_if(|check| check.step <= point.step) {
+            so_far += 1;
+            refused += u32::from(check.verdict == Verdict::Refuse);
+        }
         let values = [
             ("evaluation/return", point.observed_return),
             ("evaluation/performance", point.performance),
             ("evaluation/length", point.length),
-            ("check/checks", so_far.count() as f64),
-            ("check/refusals", refused.count() as f64),
+            ("check/checks", f64::from(so_far)),
+            ("check/refusals", f64::from(refused)),
         ];
         points.push((point.step, values.into()));
     }
@@ -152,6 +156,26 @@ impl Message {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::samples;
+
+    #[test]
+    fn every_point_has_the_checks_up_to_its_step() {
+        let mut seed = samples::seed(0, samples::Outcome::Missed);
+        // Two at one step, one at the step of a point, the last behind all points.
+        let steps = [5, 5, 20, 21, 400, 401, 402, 403, 404, 405, 1000, 1001];
+        seed.checks.iter_mut().zip(steps).for_each(|(check, step)| check.step = step);
+        let counted = |tag: &str, leg: Arm| {
+            let points = points(&seed, leg);
+            let of = |(step, values): &Point| Some((*step, values.iter().find(|value| value.0 == tag)?.1));
+            points.iter().filter_map(of).collect::<Vec<_>>()
+        };
+        for (step, count) in counted("check/checks", Arm::Mc) {
+            assert_eq!(count, steps.iter().filter(|at| **at <= step).count() as f64, "{step}");
+        }
+        let refused = counted("check/refusals", Arm::Mc);
+        assert_eq!((refused[0], refused[1], refused[50]), ((0, 0.0), (20, 3.0), (1000, 9.0)));
+        assert!(counted("check/checks", Arm::Baseline).iter().all(|(_, count)| *count == 0.0));
+    }
 
     #[test]
     fn messages_have_the_published_encoding() {
