@@ -17,6 +17,7 @@ use mcvl_core::run::{Budget, Run, RunError, Status};
 use serde::{Deserialize, Serialize};
 
 use super::cells::{Cell, Repeats};
+use crate::runs::RunsError;
 
 /// Work per poll of a check: less than any costs, so that no poll makes two.
 const BUDGET: Budget = Budget(16);
@@ -91,15 +92,20 @@ impl Measurement {
     /// with fewer checks than were wanted ends the measurement.
     ///
     /// # Errors
-    /// If training diverges.
-    pub fn go_on<E: From<RunError>>(
+    /// If training diverges ([`RunsError::Diverged`]), or `tell` fails.
+    pub fn go_on<E: From<RunsError>>(
         mut self,
         found: &mut Spread,
         threads: usize,
         stopped: &(dyn Fn() -> bool + Sync),
         mut tell: impl FnMut(&Spread) -> Result<(), E>,
     ) -> Result<bool, E> {
-        found.seed = self.config.seed;
+        let seed = self.config.seed;
+        let failed = |source| match source {
+            RunError::Forecast(why) => RunsError::BackEnd { seed, why },
+            source => RunsError::Diverged { seed, source },
+        };
+        found.seed = seed;
         found.repeats = self.extent.repeats;
         let measured = found.checks.last().map_or(0, |check| check.number);
         while (found.checks.len() as u32) < self.extent.checks {
@@ -108,21 +114,21 @@ impl Measurement {
                 if stopped() {
                     return Ok(false);
                 }
-                if self.run.poll(Budget(1), &mut ())? == Status::Done {
+                if self.run.poll(Budget(1), &mut ()).map_err(failed)? == Status::Done {
                     return Ok(true);
                 }
             }
             // The check itself tells whether a hack is offered; what is repeated is the state before it.
             let before = self.run.clone();
-            let Some(check) = decide(&mut self.run, stopped)? else { return Ok(false) };
+            let Some(check) = decide(&mut self.run, stopped).map_err(failed)? else { return Ok(false) };
             let taken = found.checks.iter().filter(|taken| taken.hack == check.hack).count() as u32;
             let wanted = if check.hack { self.extent.checks / 2 } else { self.extent.checks.div_ceil(2) };
             if check.number <= measured || taken >= wanted {
                 continue;
             }
-            let repeated = repeat(&before, check.number, self.extent.repeats, threads, stopped)?;
-            let Some((check, updates)) = repeated else { return Ok(false) };
-            found.updates += updates;
+            let repeated = repeat(&before, check.number, self.extent.repeats, threads, stopped);
+            let Some((check, updates)) = repeated.map_err(failed)? else { return Ok(false) };
+            found.updates = found.updates.saturating_add(updates);
             found.checks.push(check);
             tell(found)?;
         }
@@ -203,7 +209,7 @@ mod tests {
 
     fn measure(found: &mut Spread, threads: usize, stopped: &(dyn Fn() -> bool + Sync)) -> bool {
         let measurement = Measurement::new(&TINY.parse().unwrap(), EXTENT);
-        measurement.go_on(found, threads, stopped, |_| Ok::<(), RunError>(())).unwrap()
+        measurement.go_on(found, threads, stopped, |_| Ok::<(), RunsError>(())).unwrap()
     }
 
     #[test]
@@ -226,12 +232,19 @@ mod tests {
     fn paired_futures_that_learn_nothing_differ_in_nothing() {
         let config = TINY.replace("forecast=30", "forecast=0").parse().unwrap();
         let mut found = empty();
-        let ended = Measurement::new(&config, EXTENT).go_on(&mut found, 1, &|| false, |_| Ok::<(), RunError>(()));
-        assert_eq!((ended, found.checks.len()), (Ok(true), 3));
+        let ended = Measurement::new(&config, EXTENT).go_on(&mut found, 1, &|| false, |_| Ok::<(), RunsError>(()));
+        assert_eq!((ended.unwrap(), found.checks.len()), (true, 3));
         // The same learner twice: what is left is chance, and of that pairs have the same.
         let margins = |of: fn(&CheckSpread) -> &Margins| found.checks.iter().flat_map(move |check| &of(check).margins);
         assert_eq!(margins(|check| &check.paired).copied().collect::<Vec<_>>(), [0.0; 15]);
         assert!(margins(|check| &check.unpaired).any(|margin| *margin != 0.0));
+    }
+
+    #[test]
+    fn a_measurement_that_diverges_says_so_like_a_run() {
+        let config = format!("{TINY} lr=1e30").parse().unwrap();
+        let ended = Measurement::new(&config, EXTENT).go_on(&mut empty(), 1, &|| false, |_| Ok::<(), RunsError>(()));
+        assert!(matches!(ended, Err(RunsError::Diverged { seed: 3, .. })), "{ended:?}");
     }
 
     #[test]
