@@ -228,6 +228,12 @@ impl Summary {
         Self::of_ends(config, seeds, arms)
     }
 
+    /// The same with some of its legs alone.
+    pub fn of_legs(self, config: &Config, wanted: impl Fn(Arm) -> bool) -> Self {
+        let arms = self.arms.into_iter().filter(|leg| wanted(leg.arm)).collect();
+        Self { unfinished: self.unfinished, ..Self::of_ends(config, self.seeds, arms) }
+    }
+
     /// The leg of this name, if a seed finished it.
     pub fn arm(&self, arm: Arm) -> Option<&ArmSummary> {
         self.arms.iter().find(|summary| summary.arm == arm)
@@ -340,7 +346,7 @@ pub fn seed_list(seeds: &[u64]) -> String {
     let mut parts: Vec<String> = Vec::new();
     let mut rest = seeds;
     while let Some(&first) = rest.first() {
-        let length = rest.iter().zip(0..).take_while(|(seed, index)| *seed - first == *index).count();
+        let length = rest.iter().zip(0..).take_while(|(seed, index)| seed.checked_sub(first) == Some(*index)).count();
         match length {
             1 | 2 => parts.extend(rest[..length].iter().map(u64::to_string)),
             _ => parts.push(format!("{first} to {}", rest[length - 1])),
@@ -353,9 +359,18 @@ pub fn seed_list(seeds: &[u64]) -> String {
 /// A share in per cent, or a dash where it has no value.
 pub fn percent(share: Option<f64>) -> String {
     share.map_or("–".into(), |share| {
-        // Rare is not never.
-        let decimals = if share > 0.0 && share < 0.001 { 2 } else { usize::from(share < 0.1) };
-        format!("{:.decimals$} %", 100.0 * share)
+        // Rare is not never, and nearly always is not always.
+        let decimals = match share {
+            _ if share > 0.0 && share < 0.001 || share >= 0.9995 && share < 1.0 => 2,
+            _ if share >= 0.995 && share < 1.0 => 1,
+            _ => usize::from(share < 0.1),
+        };
+        let text = format!("{:.decimals$}", 100.0 * share);
+        match text.as_str() {
+            "0.00" => "<0.01 %".into(),
+            "100.00" => ">99.99 %".into(),
+            _ => text + " %",
+        }
     })
 }
 
@@ -619,5 +634,14 @@ mod tests {
         assert_eq!(seed_list(&[0, 1, 2, 3, 7, 9, 10]), "0 to 3, 7, 9, 10");
         assert_eq!(seed_list(&[u64::MAX]), "18446744073709551615");
         assert_eq!(seed_list(&[]), "");
+        assert_eq!(seed_list(&[1, 0, u64::MAX, 0]), "1, 0, 18446744073709551615, 0", "in whatever order");
+    }
+
+    #[test]
+    fn what_is_rare_is_not_never_and_what_is_usual_is_not_always() {
+        let shares = [0.0, 1e-6, 0.0004, 0.0044, 0.25, 0.9949, 0.996, 0.9994, 0.99951, 0.9999, 0.999_999, 1.0];
+        let texts = ["0.0", "<0.01", "0.04", "0.4", "25", "99", "99.6", "99.9", "99.95", "99.99", ">99.99", "100"];
+        assert_eq!(shares.map(|share| percent(Some(share))), texts.map(|text| format!("{text} %")));
+        assert_eq!(percent(None), "–");
     }
 }

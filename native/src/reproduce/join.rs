@@ -1,7 +1,9 @@
 //! Records of the same setting with different seeds, put together: a cell may be trained in parts, on several
 //! machines, and counts as if it had been trained in one.
 
-use mcvl_core::config::Config;
+use std::collections::BTreeSet;
+
+use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::Arm;
 
 use super::record::{ArmRecord, Record, SeedLeg};
@@ -20,24 +22,24 @@ impl Record {
     }
 
     /// Both together. Of a seed that is in both this record's numbers count, so the order matters only where the two
-    /// disagree; the wall time of the others alone is not known then. None where one of them
-    /// [cannot be joined](Self::is_joinable) or their setting is not valid.
+    /// disagree; the wall time of the others alone is not known then, nor is one of unlike machines together. None where
+    /// one of them [cannot be joined](Self::is_joinable) or their setting is not valid.
     pub fn join(&self, other: &Self) -> Option<Self> {
         let new: Vec<u64> = other.seeds().iter().copied().filter(|seed| !self.seeds().contains(seed)).collect();
         if new.is_empty() {
             return self.is_joinable().then(|| self.clone());
         }
         let mut joined = self.put_together(other, self.seeds(), &new)?;
-        let both = |mine: &str, theirs: &str| {
-            let known = mine.split(SEPARATOR).any(|part| part == theirs);
-            if known { mine.to_owned() } else { format!("{mine}{SEPARATOR}{theirs}") }
-        };
         joined.program = both(&self.program, &other.program);
         joined.commit = self.commit.as_ref().zip(other.commit.as_ref()).map(|(mine, theirs)| both(mine, theirs));
         joined.cpu = both(&self.cpu, &other.cpu);
+        joined.cores = self.cores.max(other.cores);
         joined.seal = both(&self.seal, &other.seal);
-        let both = self.trained_ms.zip(other.trained_ms).filter(|_| new.len() == other.seeds().len());
-        joined.trained_ms = both.map(|(mine, theirs)| mine + theirs);
+        let alike = self.machine() == other.machine();
+        joined.machines = if alike { self.machines.clone() } else { parts(&self.machine(), &other.machine()) };
+        let known = alike && new.len() == other.seeds().len();
+        let times = self.trained_ms.zip(other.trained_ms).filter(|_| known);
+        joined.trained_ms = times.map(|(mine, theirs)| mine.saturating_add(theirs));
         Some(joined)
     }
 
@@ -49,13 +51,27 @@ impl Record {
         Some(Self { trained_ms, ..self.put_together(self, &mine, &[])? })
     }
 
+    /// What it has of Safe training and of some learners, which are those of a cell: a run may have trained more, and its
+    /// wall time is that of all.
+    pub fn of_learners(self, learners: &[Learner]) -> Self {
+        let wanted = |arm: Arm| arm == Arm::Safe || learners.iter().any(|learner| Arm::of(*learner) == arm);
+        let Ok(config) = self.config.parse::<Config>() else { return self };
+        if self.arms.iter().all(|leg| wanted(leg.arm)) {
+            return self;
+        }
+        let summary = self.summary.map(|summary| summary.of_legs(&config, wanted));
+        let arms = self.arms.into_iter().filter(|leg| wanted(leg.arm)).collect();
+        Self { summary, arms, trained_ms: None, ..self }
+    }
+
     fn put_together(&self, other: &Self, mine: &[u64], theirs: &[u64]) -> Option<Self> {
         if !self.is_joinable() || !other.is_joinable() {
             return None;
         }
         let first = *mine.iter().chain(theirs).min()?;
-        let config: Config = self.config.parse().ok()?;
-        let config = config.with_seed(first);
+        let config = |record: &Self| Some(record.config.parse::<Config>().ok()?.with_seed(first));
+        // They differ at most in the simulator, of which either stands for the other.
+        let config = [config(self)?, config(other)?].into_iter().min_by_key(Config::to_string)?;
         let legs = |record: &Self, arm: Arm, seeds: &[u64]| {
             let legs = record.arm(arm).map_or(&[][..], |leg| &leg.seeds).iter();
             legs.filter(|leg| seeds.contains(&leg.seed)).cloned().collect::<Vec<SeedLeg>>()
@@ -72,11 +88,24 @@ impl Record {
 }
 
 /// Between the parts of what differs.
-const SEPARATOR: &str = "; ";
+pub(super) const SEPARATOR: &str = "; ";
+
+/// The parts of both, each once, in an order that is that of neither.
+fn parts(mine: &str, theirs: &str) -> Vec<String> {
+    let all: BTreeSet<&str> = [mine, theirs].into_iter().flat_map(|text| text.split(SEPARATOR)).collect();
+    all.into_iter().map(str::to_owned).collect()
+}
+
+fn both(mine: &str, theirs: &str) -> String {
+    parts(mine, theirs).join(SEPARATOR)
+}
 
 #[cfg(test)]
 mod tests {
+    use super::super::rows::judge;
+    use super::super::table::find;
     use super::*;
+    use crate::report::claims::ArmSummary;
     use crate::report::samples;
     use crate::runs::{Manifest, RunSet};
 
@@ -124,15 +153,75 @@ mod tests {
         let one = Record { trained_ms: Some(5), commit: Some("a".into()), cpu: "one".into(), ..of(&[0]) };
         (other.trained_ms, other.commit, other.cpu) = (Some(7), Some("a".into()), "two".into());
         let joined = one.join(&other).unwrap();
-        assert_eq!(
-            (joined.trained_ms, joined.commit.as_deref(), joined.cpu.as_str()),
-            (Some(12), Some("a"), "one; two")
-        );
+        assert_eq!((joined.commit.as_deref(), joined.cpu.as_str()), (Some("a"), "one; two"));
         let sealed = |seal: &str, seeds: &[u64]| Record { seal: seal.into(), ..of(seeds) };
         let both = sealed("a", &[0]).join(&sealed("b", &[1])).unwrap();
         assert!(both.is_of("a") && both.is_of("b") && !both.is_of("c"));
         let again = joined.join(&Record { cpu: "one".into(), ..of(&[2]) }).unwrap();
         assert_eq!((again.cpu.as_str(), again.seeds()), ("one; two", &[0, 1, 2][..]));
+    }
+
+    #[test]
+    fn unlike_machines_are_told_and_their_times_are_not_added() {
+        let on = |seeds: &[u64], cpu: &str, cores, physics: &str| {
+            let record = Record { cpu: cpu.into(), cores, trained_ms: Some(5), seal: cpu.into(), ..of(seeds) };
+            Record { config: format!("env=reacher preset=small physics={physics} seed={}", seeds[0]), ..record }
+        };
+        let (one, two) = (on(&[0, 3], "one", 2, "mujoco"), on(&[1], "two", 64, "closed-form"));
+        let again = on(&[2], "one", 64, "mujoco");
+        let joined = |parts: [&Record; 3]| parts[0].join(parts[1]).unwrap().join(parts[2]).unwrap();
+        let all = joined([&one, &two, &again]);
+        assert_eq!(all.machine(), "one, 2 cores; one, 64 cores; two, 64 cores");
+        assert_eq!((all.trained_ms, all.trained(), all.cores), (None, None, 64));
+        for other in [[&two, &one, &again], [&again, &two, &one], [&two, &again, &one]] {
+            assert_eq!(joined(other), all, "whatever the order");
+        }
+        let alike = one.join(&on(&[1], "one", 2, "closed-form")).unwrap();
+        assert_eq!((alike.trained_ms, alike.machine().as_str()), (Some(10), "one, 2 cores"));
+        // As earlier versions added them.
+        let old = Record { cpu: "one; two".into(), trained_ms: Some(10), ..of(&[0, 1]) };
+        assert_eq!(old.trained(), None);
+    }
+
+    #[test]
+    fn learners_that_a_cell_has_not_are_left_out() {
+        let plain = of(&[0, 1]);
+        let mut more = plain.clone();
+        let (leg, end) = (&more.arms[1], &more.summary.as_ref().unwrap().arms[1]);
+        let (leg, end) =
+            (ArmRecord { arm: Arm::Oracle, ..leg.clone() }, ArmSummary { arm: Arm::Oracle, ..end.clone() });
+        more.arms.push(leg);
+        more.summary.as_mut().unwrap().arms.push(end);
+        let cell = [Learner::Baseline, Learner::Mc];
+        assert_eq!(bare(more.clone().of_learners(&cell)), bare(plain.clone()));
+        assert_eq!(Record { trained_ms: Some(5), ..more }.of_learners(&cell).trained_ms, None, "it is that of all");
+        assert_eq!(plain.clone().of_learners(&cell), plain);
+        let ungated = plain.of_learners(&cell[..1]);
+        assert!(ungated.arm(Arm::Mc).is_none() && ungated.summary.as_ref().unwrap().verdicts.is_none());
+        assert!(ungated.arm(Arm::Safe).is_some() && ungated.is_joinable());
+    }
+
+    #[test]
+    fn counts_end_at_the_greatest_number() {
+        let huge = |seeds: &[u64]| {
+            let mut record = Record { trained_ms: Some(u64::MAX), ..of(seeds) };
+            let ends = record.summary.as_mut().unwrap().arms.iter_mut().flat_map(|leg| &mut leg.seeds);
+            for verdicts in ends.filter_map(|end| end.verdicts.as_mut()) {
+                (verdicts.hacks_accepted, verdicts.cost, verdicts.hacks_unchecked) =
+                    (u64::MAX, u64::MAX, Some(u64::MAX));
+            }
+            record.arms.iter_mut().flat_map(|leg| &mut leg.seeds).for_each(|leg| leg.updates = u64::MAX);
+            record
+        };
+        let joined = huge(&[0, 1]).join(&huge(&[2])).unwrap();
+        assert_eq!((joined.trained_ms, joined.arm(Arm::Mc).unwrap().updates), (Some(u64::MAX), u64::MAX));
+        let verdicts = joined.summary.as_ref().unwrap().verdicts.unwrap();
+        assert_eq!((verdicts.hacks_accepted, verdicts.wrong(), joined.slowdown()), (u64::MAX, u64::MAX, Some(1.0)));
+        assert!(verdicts.recall() < Some(0.01) && verdicts.unchecked() == Some(1.0));
+        let records = [("box".to_owned(), joined)].into();
+        let results = judge(&find("E1"), &records, false, &|cell| cell.seeds(false));
+        assert_eq!(results.costs[0].updates, u64::MAX);
+        assert!(results.text(&|_, words| words.to_owned()).contains("Cost: "));
     }
 
     #[test]

@@ -7,9 +7,10 @@ use std::time::Duration;
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
+use super::join::SEPARATOR;
 use super::spread::Spread;
-use crate::report::claims::Summary;
-use crate::report::statistics::{self, END_POINTS, Estimate, Quantity, mean};
+use crate::report::claims::{Summary, plural, seed_list};
+use crate::report::statistics::{self, END_POINTS, Estimate, Quantity, mean, sum};
 use crate::runs::{Manifest, RunSet, RunsError, SeedRun, State, write_atomic};
 
 /// First field of every record.
@@ -36,8 +37,11 @@ pub struct Record {
     pub commit: Option<String>,
     /// Processor.
     pub cpu: String,
-    /// Its cores.
+    /// Its cores; of several machines, the most.
     pub cores: usize,
+    /// Where its seeds were trained on unlike machines: each processor with its cores.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub machines: Vec<String>,
     /// Wall time of training, milliseconds, where known.
     pub trained_ms: Option<u64>,
     /// Seal of the run's manifest: a record of another state of the run has another one. Of several runs, all of them.
@@ -132,6 +136,7 @@ impl Record {
             commit: manifest.commit.clone(),
             cpu: manifest.cpu.clone(),
             cores: manifest.cores,
+            machines: Vec::new(),
             trained_ms: manifest.training_time().map(|time| u64::try_from(time.as_millis()).unwrap_or(u64::MAX)),
             seal: manifest.seal.clone(),
             summary: None,
@@ -178,7 +183,30 @@ impl Record {
                 "is damaged: its summary and its curves are not of the same legs, or Safe training is none".into()
             );
         }
+        record.check_seeds()?;
         Ok(record)
+    }
+
+    /// Seeds are told one by one, so each may be there once, and every leg has to be of all of them.
+    fn check_seeds(&self) -> Result<(), String> {
+        let Some(summary) = &self.summary else { return Ok(()) };
+        let advice = "restore the file, make it again from its run, or leave it out";
+        if !summary.seeds.is_sorted_by(|one, next| one < next) {
+            return Err(format!("is damaged: its seeds are not in ascending order, each once: {advice}"));
+        }
+        let ends = summary.arms.iter().map(|leg| (leg.arm, leg.seeds.iter().map(|end| end.seed).collect::<Vec<_>>()));
+        // Earlier versions kept no legs seed by seed.
+        let legs = self.arms.iter().filter(|leg| !leg.seeds.is_empty());
+        let legs = legs.map(|leg| (leg.arm, leg.seeds.iter().map(|leg| leg.seed).collect::<Vec<_>>()));
+        match ends.chain(legs).find(|(_, seeds)| *seeds != summary.seeds) {
+            Some((arm, seeds)) => Err(format!(
+                "is damaged: its {} leg is of seeds {}, the record of seeds {}: {advice}",
+                arm.name(),
+                seed_list(&seeds),
+                seed_list(&summary.seeds)
+            )),
+            None => Ok(()),
+        }
     }
 
     /// Writes the record.
@@ -199,9 +227,18 @@ impl Record {
         }
     }
 
-    /// Wall time of training, where known.
+    /// Wall time of training, where known: what unlike machines took together, as earlier versions added it, says
+    /// nothing.
     pub fn trained(&self) -> Option<Duration> {
-        self.trained_ms.map(Duration::from_millis)
+        self.trained_ms.filter(|_| !self.machine().contains(SEPARATOR)).map(Duration::from_millis)
+    }
+
+    /// The processor and its cores; of several machines, all of them.
+    pub fn machine(&self) -> String {
+        match self.machines[..] {
+            [] => format!("{}, {}", self.cpu, plural(self.cores as u64, "core")),
+            _ => self.machines.join(SEPARATOR),
+        }
     }
 
     /// A leg, if it is there.
@@ -213,7 +250,7 @@ impl Record {
     pub fn slowdown(&self) -> Option<f64> {
         let cost = self.summary.as_ref()?.verdicts?.cost;
         let (gated, ungated) = (self.arm(Arm::Mc)?.updates, self.arm(Arm::Baseline)?.updates);
-        (ungated > 0).then(|| (gated + cost) as f64 / ungated as f64)
+        (ungated > 0).then(|| gated.saturating_add(cost) as f64 / ungated as f64)
     }
 }
 
@@ -237,7 +274,7 @@ impl ArmRecord {
                 seeds: observed.estimate.count,
             })
             .collect();
-        let updates = seeds.iter().map(|seed| seed.updates).sum();
+        let updates = sum(seeds.iter().map(|seed| seed.updates));
         let dead: Vec<f64> = seeds.iter().filter_map(|seed| seed.dead_units).collect();
         (!curve.is_empty()).then(|| Self { arm, updates, dead_units: mean(&dead), curve, seeds })
     }
@@ -323,6 +360,19 @@ mod tests {
             let why = Record::parse(&serde_json::to_string(&cut).unwrap()).unwrap_err();
             assert!(why.contains("not of the same legs"), "{why}");
         }
+        assert!(wrong("\"seeds\":[0,1,", "\"seeds\":[1,0,").contains("not in ascending order, each once: restore"));
+        assert!(wrong("\"seeds\":[0,1,", "\"seeds\":[1,1,").contains("not in ascending order"));
+        let mut cut = record.clone();
+        cut.arms[2].seeds.remove(4);
+        let why = Record::parse(&serde_json::to_string(&cut).unwrap()).unwrap_err();
+        assert!(why.contains("its mc leg is of seeds 0 to 3, 5 to 9, the record of seeds 0 to 9: restore"), "{why}");
+        let mut cut = record.clone();
+        cut.summary.as_mut().unwrap().arms[0].seeds.pop();
+        let why = Record::parse(&serde_json::to_string(&cut).unwrap()).unwrap_err();
+        assert!(why.contains("its safe leg is of seeds 0 to 8"), "{why}");
+        let mut old = record.clone();
+        old.arms.iter_mut().for_each(|leg| leg.seeds.clear());
+        assert_eq!(Record::parse(&serde_json::to_string(&old).unwrap()).unwrap(), old, "earlier versions kept none");
         assert!(Record::parse(&text[..text.len() / 2]).unwrap_err().contains("is no record"));
         assert!(Record::parse("[]").is_err() && Record::parse("").is_err());
     }

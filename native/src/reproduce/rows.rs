@@ -8,11 +8,12 @@ use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
+use super::join::SEPARATOR;
 use super::record::Record;
 use super::table::{Experiment, unique};
 use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
 use crate::report::csv_field as csv;
-use crate::report::statistics::{Estimate, Verdicts, estimate, mean};
+use crate::report::statistics::{Estimate, Verdicts, estimate, mean, sum};
 
 /// Columns of a terminal.
 const WIDTH: usize = 80;
@@ -416,13 +417,13 @@ fn world(record: &Record) -> Option<WorldRow> {
 }
 
 fn cost(record: &Record) -> Cost {
-    let live: u64 = record.arms.iter().map(|arm| arm.updates).sum();
+    let live = record.arms.iter().map(|arm| arm.updates);
     let forecasts = record.summary.as_ref().and_then(|summary| summary.verdicts).map_or(0, |verdicts| verdicts.cost);
     Cost {
         cell: record.cell.clone(),
         seconds: record.trained().map(|time| time.as_secs_f64()),
-        updates: live + forecasts + record.spread.as_ref().map_or(0, |spread| spread.updates),
-        machine: format!("{}, {}", record.cpu, plural(record.cores as u64, "core")),
+        updates: sum(live.chain([forecasts, record.spread.as_ref().map_or(0, |spread| spread.updates)])),
+        machine: record.machine(),
     }
 }
 
@@ -520,8 +521,8 @@ impl Results {
                 format!("{time} of wall time and that of {}, which is not known,", plural(unknown as u64, "cell"))
             }
         };
-        let updates: u64 = self.costs.iter().map(|cost| cost.updates).sum();
-        let mut machines: Vec<&str> = self.costs.iter().map(|cost| cost.machine.as_str()).collect();
+        let updates = sum(self.costs.iter().map(|cost| cost.updates));
+        let mut machines: Vec<&str> = self.costs.iter().flat_map(|cost| cost.machine.split(SEPARATOR)).collect();
         machines.sort_unstable();
         machines.dedup();
         format!(
