@@ -103,12 +103,12 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     // Everything that is there is looked at before anything is changed.
     let mut standings: Vec<(&Wanted, Standing)> = Vec::new();
     for wanted in &wanted {
-        standings.push((wanted, folder.standing(wanted, lent.remove(wanted.cell.name))?));
+        standings.push((wanted, folder.standing(wanted, lent.remove(wanted.cell.name), terminal)?));
     }
     if arguments.dry_run {
         return dry_run(arguments, &standings, terminal);
     }
-    let before = folder.check_place()?;
+    folder.check_place()?;
     arguments.check_targets()?;
     if arguments.evaluate && standings.iter().all(|(_, standing)| standing.record.is_none()) {
         let there = folder.0.display();
@@ -139,7 +139,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
                     end = Done::Interrupted;
                 }
             }
-            // The others do not depend on it, and its claims stay unmeasured.
+            // The others do not depend on it, and its claims go by the seeds that did not: their record is there.
             Err(error) if has_diverged(&error) => {
                 if end == Done::Well {
                     end = Done::DoesNotHold;
@@ -148,6 +148,13 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
             // What the others finished is in their records.
             Err(error) => return Err(error),
         }
+    }
+    // Others may have trained other cells here and told them: from here on one at a time, by what is there now.
+    let lock = folder.lock()?;
+    let before = folder.check_place()?;
+    for wanted in &wanted {
+        let record = folder.by_now(records.remove(wanted.cell.name), wanted, terminal);
+        records.extend(record.map(|record| (wanted.cell.name.to_owned(), record)));
     }
     let planned = |cell: &Cell| cell.planned(arguments.quick, arguments.seeds.as_deref());
     let results = judge(&experiments, &records, arguments.quick, &planned);
@@ -174,6 +181,7 @@ pub fn reproduce(arguments: &ReproduceArgs, terminal: &mut Terminal) -> anyhow::
     };
     let all = judge(&told, &records, arguments.quick, &planned);
     let written = folder.write(&all, &told, &records, arguments)?;
+    drop(lock);
     if arguments.json {
         writeln!(terminal.out, "{}", serde_json::to_string_pretty(&results)?)?;
     } else {

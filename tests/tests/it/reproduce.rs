@@ -488,6 +488,113 @@ fn a_dry_run_as_json_says_what_is_missing() {
     }
 }
 
+/// Two terminals may train different cells in one folder at the same time; neither loses what the other one tells.
+#[cfg(unix)]
+#[test]
+fn two_processes_in_one_folder_tell_what_both_have() {
+    let folder = scratch();
+    let folder = folder.path();
+    let mut command = program(folder);
+    command.args("reproduce E8 --seeds 3..4 --only box-forecast-300 -o set".split(' '));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("mcvl starts");
+    let signal = |signal: &str| {
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+    };
+    while !folder.join("set/cells/box-forecast-300/run.toml").exists() {
+        sleep(Duration::from_millis(2));
+    }
+    signal("-STOP");
+    // The other one does the whole of its work while this one trains.
+    ok(folder, "reproduce E8 E9 --seeds 3..4 --only box-forecast-100 -o set");
+    signal("-CONT");
+    assert!(child.wait().unwrap().success());
+    let told = fs::read_to_string(folder.join("set/claims.csv")).unwrap();
+    let done = told.lines().find(|line| line.starts_with("E8,") && line.contains("performance grows"));
+    assert!(done.unwrap().contains(",2,3,") && told.contains("\nE9,"), "{told}");
+
+    // Tables are written by one at a time.
+    let lock = fs::File::create(folder.join("set/.lock")).unwrap();
+    lock.lock().unwrap();
+    let mut command = program(folder);
+    command.args("reproduce E8 --seeds 3..4 --evaluate -o set".split(' '));
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("mcvl starts");
+    sleep(Duration::from_secs(2));
+    assert!(child.try_wait().unwrap().is_none(), "it waits");
+    drop(lock);
+    assert!(child.wait().unwrap().success());
+}
+
+/// A run may have more learners than a cell, and be one of several cells.
+#[test]
+fn a_run_counts_for_every_cell_that_it_fits_with_the_learners_of_that_cell() {
+    let folder = scratch();
+    let folder = folder.path();
+    let agents =
+        ["baseline", "mc", "oracle", "frozen", "frozen-reward"].map(|name| format!(" --agent {name}")).concat();
+    ok(folder, &format!("train box-moving --seeds 3..4{agents} -o runs/all"));
+    ok(folder, "train box-moving --seeds 5..6 -o runs/plain");
+    // Killed between its first two files.
+    fs::create_dir(folder.join("runs/killed")).unwrap();
+    fs::copy(folder.join("runs/plain/run.toml"), folder.join("runs/killed/run.toml")).unwrap();
+    let answer = ask(folder, "reproduce E1 E6 --seeds 3,5 --evaluate --from runs -o set");
+    assert_eq!(answer.code, 0, "{}", answer.stderr);
+    assert!(answer.stderr.contains("killed is not finished: none of its seeds is used"), "{}", answer.stderr);
+    let read = |set: &str, cell: &str| {
+        let path = folder.join(set).join(format!("records/{cell}.record.json"));
+        json(&fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
+    };
+    let legs = |record: &serde_json::Value| {
+        let legs = record["arms"].as_array().unwrap().iter().map(|leg| leg["arm"].as_str().unwrap().to_owned());
+        (legs.collect::<Vec<_>>().join(" "), record["summary"]["seeds"].clone())
+    };
+    let both = read("set", "box");
+    assert_eq!(legs(&both), ("safe baseline mc".to_owned(), json("[3, 5]")));
+    let baselines = legs(&read("set", "box-baselines"));
+    assert_eq!(baselines, ("safe oracle frozen frozen-reward".to_owned(), json("[3]")));
+    // Whatever is named first.
+    for (index, from) in ["--from runs/all --from runs/plain", "--from runs/plain --from runs/all"].iter().enumerate() {
+        ok(folder, &format!("reproduce E1 --seeds 3,5 --evaluate {from} -o set-{index}"));
+        assert_eq!(read(&format!("set-{index}"), "box"), both, "{from}");
+    }
+}
+
+#[test]
+fn records_that_cannot_be_joined_or_parted_are_named() {
+    let folder = scratch();
+    let folder = folder.path();
+    let text = fs::read_to_string(root().join("results/records/box.record.json")).unwrap();
+    // As an earlier version wrote it, and ten other seeds.
+    let (mut old, mut new) = (json(&text), json(&text));
+    let legs = |record: &mut serde_json::Value| record["arms"].as_array_mut().unwrap().clone();
+    old["arms"] = legs(&mut old).into_iter().map(|mut leg| drop_seeds(&mut leg)).collect();
+    let shift = |seeds: &mut serde_json::Value| {
+        for seed in seeds.as_array_mut().unwrap() {
+            let number = if seed.is_object() { &mut seed["seed"] } else { seed };
+            *number = (number.as_u64().unwrap() + 10).into();
+        }
+    };
+    shift(&mut new["summary"]["seeds"]);
+    for place in ["/arms", "/summary/arms"] {
+        new.pointer_mut(place).unwrap().as_array_mut().unwrap().iter_mut().for_each(|leg| shift(&mut leg["seeds"]));
+    }
+    for (name, record) in [("old", old), ("new", new)] {
+        fs::create_dir(folder.join(name)).unwrap();
+        fs::write(folder.join(name).join("box.record.json"), record.to_string()).unwrap();
+    }
+    let says = |seeds: &str, part: &str| {
+        let command = format!("reproduce E1 --only box --seeds {seeds} --evaluate --from old --from new -o set");
+        let answer = ask(folder, &command);
+        assert!(answer.code == 0 && answer.stderr.contains(part), "{}", answer.stderr);
+    };
+    says("0..20", "note: box: seeds 10 to 19 of one record left out: it cannot be joined with that of seeds 0 to 9");
+    says("5..15", "box.record.json is left out: it does not tell its seeds apart");
+}
+
+fn drop_seeds(leg: &mut serde_json::Value) -> serde_json::Value {
+    leg.as_object_mut().unwrap().remove("seeds");
+    leg.take()
+}
+
 /// The page of results is what the program makes of the committed records, and its figures are there.
 #[test]
 fn the_page_of_results_is_made_of_the_committed_records() {

@@ -1,7 +1,7 @@
 //! The folder of a set of experiments: what is finished there, what is trained there, what is written there.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -77,21 +77,27 @@ impl Elsewhere {
     }
 
     /// All that is finished, with what the run of this set has.
-    fn with(&self, own: Option<Record>) -> Option<Record> {
-        self.parts().fold(own, |own, part| joined(own, Some(part)))
+    fn with(&self, own: Option<Record>, terminal: &Terminal) -> Option<Record> {
+        self.parts().fold(own, |own, part| joined(own, Some(part), terminal))
     }
 }
 
 impl Standing {
     /// A cell by what is known of it in its run, with whether that was made just now, and elsewhere.
-    fn new(wanted: &Wanted, own: Option<(Record, bool)>, elsewhere: Elsewhere, begun: bool) -> Self {
+    fn new(
+        wanted: &Wanted,
+        own: Option<(Record, bool)>,
+        elsewhere: Elsewhere,
+        begun: bool,
+        terminal: &Terminal,
+    ) -> Self {
         let made = [&own, &elsewhere.lent].into_iter().flatten().any(|(_, made)| *made);
         let own = own.map(|(record, _)| record);
         let missing = |there: Option<&Record>| {
             let there = there.map_or(&[][..], Record::seeds);
             wanted.plan.seeds.iter().copied().filter(|seed| !there.contains(seed)).collect::<Vec<_>>()
         };
-        let record = elsewhere.with(own.clone());
+        let record = elsewhere.with(own.clone(), terminal);
         let missing = match &record {
             // What cannot be joined is of use only as a whole.
             Some(whole) if !whole.is_joinable() && !missing(Some(whole)).is_empty() => missing(own.as_ref()),
@@ -101,10 +107,24 @@ impl Standing {
     }
 }
 
-/// Both together; where that cannot be, the one with more seeds.
-pub(super) fn joined(own: Option<Record>, lent: Option<&Record>) -> Option<Record> {
+/// Both together; where that cannot be, the one with more seeds, and a note of what is left out.
+pub(super) fn joined(own: Option<Record>, lent: Option<&Record>, terminal: &Terminal) -> Option<Record> {
     let (Some(own), Some(lent)) = (&own, lent) else { return own.or_else(|| lent.cloned()) };
-    own.join(lent).or_else(|| Some(if lent.seeds().len() > own.seeds().len() { lent } else { own }.clone()))
+    if let Some(both) = own.join(lent) {
+        return Some(both);
+    }
+    let (used, other) = if lent.seeds().len() > own.seeds().len() { (lent, own) } else { (own, lent) };
+    let lost: Vec<u64> = other.seeds().iter().copied().filter(|seed| !used.seeds().contains(seed)).collect();
+    if !lost.is_empty() {
+        terminal.note(format_args!(
+            "note: {}: {} of one record left out: it cannot be joined with that of {}, since one of them does not tell \
+             its seeds apart; train the cell anew to have both",
+            used.cell,
+            seeds_words(&lost),
+            seeds_words(used.seeds())
+        ));
+    }
+    Some(used.clone())
 }
 
 /// The record of all seeds of a cell that are finished by now, and whether nothing stopped it.
@@ -194,7 +214,12 @@ impl Folder {
     }
 
     /// How a cell stands here, with what is `lent`. Changes nothing.
-    pub fn standing(&self, wanted: &Wanted, lent: Option<(Record, bool)>) -> anyhow::Result<Standing> {
+    pub fn standing(
+        &self,
+        wanted: &Wanted,
+        lent: Option<(Record, bool)>,
+        terminal: &Terminal,
+    ) -> anyhow::Result<Standing> {
         let (cell, record) = (wanted.cell, self.record(wanted.cell));
         if cell.repeats.is_some() {
             let own = if record.exists() { Some((Record::read(&record)?, false)) } else { None };
@@ -205,13 +230,13 @@ impl Folder {
             // What is not to be continued does not matter here.
             let open = wanted.train && own.is_none() && lent.is_none();
             let begun = if open { self.begun_measurement(wanted)?.is_some() } else { self.begun(cell).exists() };
-            return Ok(Standing::new(wanted, own, Elsewhere { lent, kept: None }, begun));
+            return Ok(Standing::new(wanted, own, Elsewhere { lent, kept: None }, begun, terminal));
         }
         let run = self.run(cell);
         let begun = run.is_begun()?;
         let elsewhere = Elsewhere { lent, kept: self.kept(wanted, begun)? };
         let own = if begun { self.in_run(wanted, &run, &elsewhere)? } else { None };
-        Ok(Standing::new(wanted, own, elsewhere, begun))
+        Ok(Standing::new(wanted, own, elsewhere, begun, terminal))
     }
 
     /// The finished seeds of a cell's run, and whether their record was made just now.
@@ -256,7 +281,7 @@ impl Folder {
         if !wanted.fits_record(&found, &setting(&found, path)?) {
             return Err(other_setting(path, &wanted.plan));
         }
-        Ok(Record { cell: wanted.cell.name.to_owned(), ..found })
+        Ok(Record { cell: wanted.cell.name.to_owned(), ..found }.of_learners(wanted.cell.learners))
     }
 
     /// The record of the finished seeds of a cell's run; none before the first one.
@@ -351,15 +376,18 @@ impl Folder {
         } else {
             Session::begin(run.clone(), cell.plan(quick, &standing.missing)?, false)?
         };
-        let (own, finished) = match session.work(manner, terminal)? {
-            Ended::Interrupted(_) => (self.own(cell, &Manifest::read(&run)?)?, false),
-            Ended::Finished { set, .. } => (Some(Record::of_run(cell.name, &set, &Manifest::read(&run)?)), true),
+        let (ended, diverged) = match session.work(manner, terminal) {
+            Ok(ended) => (Some(ended), None),
+            // Its other seeds are finished all the same.
+            Err(error) if has_diverged(&error) => (None, Some(error)),
+            Err(error) => return Err(error),
         };
-        let record = standing.elsewhere.with(own);
-        if let Some(record) = &record {
-            self.keep(record, cell)?;
-        }
-        Ok((record, finished))
+        let (own, finished) = match ended {
+            Some(Ended::Finished { set, .. }) => (Some(Record::of_run(cell.name, &set, &Manifest::read(&run)?)), true),
+            _ => (self.own(cell, &Manifest::read(&run)?)?, false),
+        };
+        let record = self.keep_with(standing.elsewhere.with(own, terminal), wanted, terminal)?;
+        diverged.map_or(Ok((record, finished)), Err)
     }
 
     /// A measurement that was begun here, if it can be continued.
@@ -410,8 +438,42 @@ impl Folder {
         let mut manifest = Manifest::begin();
         manifest.add_time(Duration::from_millis(trained()));
         let record = Record::of_spread(cell.name, &config.to_string(), spread, &manifest);
-        self.keep(&record, cell)?;
-        Ok((Some(record), true))
+        Ok((self.keep_with(Some(record), wanted, terminal)?, true))
+    }
+
+    /// Waits until no other process writes records or tables here. Given up when dropped, also by a kill.
+    pub fn lock(&self) -> anyhow::Result<File> {
+        fs::create_dir_all(&self.0).map_err(RunsError::io("create the folder", &self.0))?;
+        let path = RunDir::new(&self.0).lock();
+        let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
+        let file = open.map_err(RunsError::io("create", &path))?;
+        file.lock().map_err(RunsError::io("lock", &path))?;
+        Ok(file)
+    }
+
+    /// What is known of a cell, with the seeds that another process has finished here meanwhile.
+    pub fn by_now(&self, known: Option<Record>, wanted: &Wanted, terminal: &Terminal) -> Option<Record> {
+        let found = self.kept(wanted, true).unwrap_or_else(|why| {
+            terminal.note(format_args!("note: left out of tables and figures: {why:#}"));
+            None
+        });
+        match (known, found) {
+            (Some(known), Some(found)) if found.seeds().iter().all(|seed| known.seeds().contains(seed)) => Some(known),
+            (known, found) => joined(found, known.as_ref(), terminal),
+        }
+    }
+
+    /// Keeps the record of a cell, if there is one, without losing what another process has kept of it meanwhile.
+    fn keep_with(
+        &self,
+        record: Option<Record>,
+        wanted: &Wanted,
+        terminal: &Terminal,
+    ) -> anyhow::Result<Option<Record>> {
+        let _lock = self.lock()?;
+        let record = self.by_now(record, wanted, terminal);
+        record.iter().try_for_each(|record| self.keep(record, wanted.cell))?;
+        Ok(record)
     }
 
     pub fn keep(&self, record: &Record, cell: &Cell) -> anyhow::Result<()> {
@@ -483,5 +545,45 @@ impl Folder {
         let page = fs::read_to_string(path).map_err(RunsError::io("read", path))?;
         let why = || Usage(format!("--page {}: it lacks the lines `{BEGIN}` and `{END}`", path.display()));
         Ok(put(&page, text).ok_or_else(why)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::progress::Style;
+    use crate::cli::terminal::Color;
+
+    /// Its first seed ends, its second one diverges.
+    static DIVERGES: Cell = Cell {
+        name: "diverges",
+        config: "env=box-moving lr=4e11 safe_steps=40 full_steps=40 forecast=5 exploration=5",
+        learners: &[Learner::Mc],
+        repeats: None,
+        ours: true,
+    };
+
+    #[test]
+    fn seeds_beside_one_that_diverges_are_kept() {
+        let folder = Folder(std::env::temp_dir().join(format!("mcvl-reproduce-diverged-{}", std::process::id())));
+        let _ = fs::remove_dir_all(&folder.0);
+        let wanted = Wanted { cell: &DIVERGES, plan: DIVERGES.plan(false, &[0, 1]).unwrap(), train: true };
+        let terminal = Terminal::new(Color::Never, true, false);
+        let manner = Manner {
+            threads: 1,
+            checkpoint_every: Duration::from_secs(60),
+            deadline: None,
+            progress: Style::None,
+            resume: String::new(),
+            remote: None,
+            beside: false,
+        };
+        let standing = folder.standing(&wanted, None, &terminal).unwrap();
+        let error = folder.train(&wanted, &standing, false, &manner, &terminal).unwrap_err();
+        assert!(has_diverged(&error), "{error:#}");
+        let record = Record::read(&folder.record(&DIVERGES)).unwrap();
+        assert_eq!(record.seeds(), [0]);
+        assert_eq!(folder.by_now(None, &wanted, &terminal), Some(record), "the tables of the same command have it");
+        fs::remove_dir_all(&folder.0).unwrap();
     }
 }
