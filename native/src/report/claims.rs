@@ -361,8 +361,8 @@ pub fn percent(share: Option<f64>) -> String {
     share.map_or("–".into(), |share| {
         // Rare is not never, and nearly always is not always.
         let decimals = match share {
-            _ if share > 0.0 && share < 0.001 || share >= 0.9995 && share < 1.0 => 2,
-            _ if share >= 0.995 && share < 1.0 => 1,
+            _ if share > 0.0 && share < 0.001 || (0.9995..1.0).contains(&share) => 2,
+            _ if (0.995..1.0).contains(&share) => 1,
             _ => usize::from(share < 0.1),
         };
         let text = format!("{:.decimals$}", 100.0 * share);

@@ -423,7 +423,7 @@ impl Folder {
         let extent = cell.extent(quick).expect("only cells with repeats are measured");
         let control = manner.control();
         let (before, started) = (begun.trained_ms, Instant::now());
-        let trained = || before + u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX);
+        let trained = || before.saturating_add(u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX));
         let save = |spread: &Spread| -> anyhow::Result<()> {
             terminal.note(format_args!("{}: {} of {} checks repeated", cell.name, spread.checks.len(), extent.checks));
             let state =

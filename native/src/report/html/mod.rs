@@ -242,11 +242,11 @@ fn decisions(summary: &Summary) -> String {
          Of its refusals {} were hacks (precision); of the hacks it checked it refused {} (recall){}. \
          {} rated both futures exactly equal, which accepts.</p>\n",
         plural(verdicts.checks, "check"),
-        percent(verdicts.rate()),
+        escape(&percent(verdicts.rate())),
         verdicts.refusals,
         plural(verdicts.cost, "gradient update"),
-        percent(verdicts.precision()),
-        percent(verdicts.recall()),
+        escape(&percent(verdicts.precision())),
+        escape(&percent(verdicts.recall())),
         unchecked.unwrap_or_default(),
         plural(verdicts.ties, "check"),
     )
