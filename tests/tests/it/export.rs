@@ -261,9 +261,8 @@ fn every_column_and_tag_is_told_in_the_documentation() {
     let told = fs::read_to_string(root().join("docs/export.md")).unwrap();
     let mut names = Vec::new();
     let logs = fs::read_to_string(folder.join("run/seed-3/steps.csv")).unwrap();
-    for text in
-        content(&folder.join("tables")).into_iter().map(|(_, bytes)| String::from_utf8(bytes).unwrap()).chain([logs])
-    {
+    let tables = content(&folder.join("tables")).into_values().map(|bytes| String::from_utf8(bytes).unwrap());
+    for text in tables.chain([logs]) {
         names.extend(text.lines().next().unwrap().split(',').map(str::to_owned));
     }
     for (_, bytes) in content(&folder.join("events")) {
