@@ -1,11 +1,9 @@
 //! `mcvl replay`: trains again from the configuration alone and compares, step by step.
 
-use std::fs::File;
-use std::io::{BufRead as _, BufReader, Write as _};
-use std::path::PathBuf;
+use std::io::Write as _;
 
 use clap::Args;
-use mcvl::runs::{self, Chain, LedgerLine, Reference, RunsError, STEP_COLUMNS, SeedDir};
+use mcvl::runs::{self, Chain, LedgerLine, Lines, Reference, RunsError, STEP_COLUMNS, SeedDir};
 use mcvl::worlds;
 use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::{Arm, Event, Recorder};
@@ -132,7 +130,7 @@ struct Expected {
 
 impl Expected {
     fn read(found: &Found) -> anyhow::Result<Self> {
-        let steps = Rows::open(&found.dir)?;
+        let steps = steps(&found.dir)?;
         let path = found.dir.tape(found.lines.len() as u32);
         let tape = std::fs::read(&path).map_err(RunsError::io("read", &path))?;
         Ok(Self {
@@ -175,7 +173,7 @@ impl Expected {
         self.difference = match event {
             Event::Step(step) => {
                 let place = format!("step {} of the {} leg", step.step, step.arm.name());
-                match self.steps.next() {
+                match self.steps.next().transpose() {
                     Ok(None) if self.open => None,
                     Ok(row) => {
                         self.steps_compared += 1;
@@ -202,37 +200,18 @@ impl Expected {
 }
 
 /// Rows of `steps.csv` of the legs that lead to the checks, one at a time: it is the largest file of a run.
-struct Rows {
-    path: PathBuf,
-    table: BufReader<File>,
-}
+type Rows = Box<dyn Iterator<Item = Result<String, RunsError>>>;
 
-impl Rows {
-    fn open(dir: &SeedDir) -> Result<Self, RunsError> {
-        let path = dir.steps();
-        let table = BufReader::new(File::open(&path).map_err(RunsError::io("open", &path))?);
-        let mut rows = Self { path, table };
-        match rows.line()?.as_deref() {
-            Some(STEP_COLUMNS) => Ok(rows),
-            _ => Err(RunsError::damaged(&rows.path, "does not begin with its columns")),
-        }
+fn steps(dir: &SeedDir) -> Result<Rows, RunsError> {
+    let path = dir.steps();
+    let mut lines = Lines::open(&path)?;
+    if lines.next().transpose()?.as_deref() != Some(STEP_COLUMNS) {
+        return Err(RunsError::damaged(&path, "does not begin with its columns"));
     }
-
-    /// The next row; none at the end, and where the last one is not written to its end.
-    fn next(&mut self) -> Result<Option<String>, RunsError> {
-        loop {
-            match self.line()? {
-                Some(line) if ![Arm::Safe, Arm::Mc].iter().any(|arm| line.split(',').next() == Some(arm.name())) => {}
-                line => return Ok(line),
-            }
-        }
-    }
-
-    fn line(&mut self) -> Result<Option<String>, RunsError> {
-        let mut line = String::new();
-        self.table.read_line(&mut line).map_err(RunsError::io("read", &self.path))?;
-        Ok(line.strip_suffix('\n').map(str::to_owned))
-    }
+    let wanted = [Arm::Safe, Arm::Mc].map(|arm| format!("{},", arm.name()));
+    Ok(Box::new(
+        lines.filter(move |line| line.as_ref().map_or(true, |line| wanted.iter().any(|arm| line.starts_with(arm)))),
+    ))
 }
 
 /// The first column in which a row is not what it should be.

@@ -7,6 +7,7 @@ use mcvl_core::config::{Config, Learner};
 use mcvl_core::record::Arm;
 
 use super::record::{ArmRecord, Record, SeedLeg};
+use crate::runs::SEPARATOR;
 
 impl Record {
     /// Whether it tells its seeds apart, so that it can be joined with another one and be parted. Measurements of spread
@@ -86,9 +87,6 @@ impl Record {
         Some(Self { config: config.to_string(), summary: Some(summary), arms: arms.collect(), ..self.clone() })
     }
 }
-
-/// Between the parts of what differs.
-pub(super) const SEPARATOR: &str = "; ";
 
 /// The parts of both, each once, in an order that is that of neither.
 fn parts(mine: &str, theirs: &str) -> Vec<String> {

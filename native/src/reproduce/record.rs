@@ -7,11 +7,10 @@ use std::time::Duration;
 use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
-use super::join::SEPARATOR;
 use super::spread::Spread;
 use crate::report::claims::{Summary, plural, seed_list};
 use crate::report::statistics::{self, END_POINTS, Estimate, Quantity, mean, sum};
-use crate::runs::{Manifest, RunSet, RunsError, SeedRun, State, write_atomic};
+use crate::runs::{Manifest, RunSet, RunsError, SEPARATOR, SeedRun, State, write_atomic};
 
 /// First field of every record.
 const FORMAT: &str = "mcvl record";

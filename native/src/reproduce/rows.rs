@@ -8,12 +8,12 @@ use mcvl_core::record::Arm;
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
-use super::join::SEPARATOR;
 use super::record::Record;
 use super::table::{Experiment, unique};
 use crate::report::claims::{ArmSummary, SeedEnd, Summary, percent, plural, wrapped};
 use crate::report::csv_field as csv;
 use crate::report::statistics::{Estimate, Verdicts, estimate, mean, sum};
+use crate::runs::SEPARATOR;
 
 /// Columns of a terminal.
 const WIDTH: usize = 80;

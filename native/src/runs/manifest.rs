@@ -289,18 +289,14 @@ impl Manifest {
     pub fn write(&mut self, run: &RunDir, state: State, seeds: &[u64]) -> Result<(), RunsError> {
         self.state = state;
         self.ended = (state != State::Running).then(now);
-        let before = std::mem::take(&mut self.files);
+        let dirs = seeds.iter().map(|seed| run.seed(*seed));
+        let (known, new): (Vec<SeedDir>, Vec<SeedDir>) = dirs.partition(|dir| self.knows(run, dir));
+        // A seed that was finished before keeps its digests: made anew they would vouch for what was altered since.
+        let known: Vec<String> = known.iter().map(|dir| name(run, dir.path()) + "/").collect();
+        self.files.retain(|file, _| known.iter().any(|folder| file.starts_with(folder)));
         let top = [run.plan(), run.summary(), run.curves("svg"), run.curves("png")];
         let mut files: Vec<PathBuf> = top.into_iter().filter(|path| path.exists()).collect();
-        for dir in seeds.iter().map(|seed| run.seed(*seed)) {
-            // A seed that was finished before keeps its digests: made anew they would vouch for what was altered since.
-            if before.contains_key(&name(run, &dir.metrics())) {
-                let inside = name(run, dir.path()) + "/";
-                self.files.extend(before.iter().filter(|(file, _)| file.starts_with(&inside)).map(cloned));
-            } else {
-                list(dir.path(), &mut files)?;
-            }
-        }
+        new.iter().try_for_each(|dir| list(dir.path(), &mut files))?;
         for path in files {
             self.files.insert(name(run, &path), FileDigest::of(&path)?);
         }
@@ -310,16 +306,15 @@ impl Manifest {
     }
 }
 
-/// Adds a name to those in a text, separated by `; `, if it is not among them.
+/// Between the names of several machines or programs.
+pub const SEPARATOR: &str = "; ";
+
+/// Adds a name to those in a text, if it is not among them.
 fn join(all: &mut String, own: &str) {
-    if !all.split("; ").any(|known| known == own) {
-        let separator = if all.is_empty() { "" } else { "; " };
+    if !all.split(SEPARATOR).any(|known| known == own) {
+        let separator = if all.is_empty() { "" } else { SEPARATOR };
         *all += &format!("{separator}{own}");
     }
-}
-
-fn cloned((name, digest): (&String, &FileDigest)) -> (String, FileDigest) {
-    (name.clone(), digest.clone())
 }
 
 fn is_false(value: &bool) -> bool {

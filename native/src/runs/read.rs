@@ -1,8 +1,8 @@
 //! Reading run directories back.
 
 use std::fs::{self, File};
-use std::io::{BufRead as _, BufReader, Read as _};
-use std::path::Path;
+use std::io::{BufRead as _, BufReader, Read as _, Take};
+use std::path::{Path, PathBuf};
 
 use mcvl_core::config::Learner;
 use mcvl_core::record::{Arm, CheckRecord, Event};
@@ -45,8 +45,8 @@ impl SeedRun {
             complete: false,
         };
         let path = dir.metrics();
-        for (number, line) in lines(&path)?.iter().enumerate() {
-            let event = serde_json::from_str(line)
+        for (number, line) in Lines::open(&path)?.enumerate() {
+            let event = serde_json::from_str(&line?)
                 .map_err(|error| RunsError::damaged(&path, format!("line {} is no event: {error}", number + 1)))?;
             match event {
                 Event::Episode(record) => seed.episodes.push(record),
@@ -89,25 +89,44 @@ fn unchecked_hacks(path: &Path) -> Option<u64> {
     }
 }
 
-/// Complete lines of a log. A last line without its end is one that is being written, or was when the
+/// Complete lines of a log, one at a time. A last line without its end is one that is being written, or was when the
 /// process was killed.
-fn lines(path: &Path) -> Result<Vec<String>, RunsError> {
-    lines_until(path, u64::MAX)
+pub struct Lines {
+    path: PathBuf,
+    reader: BufReader<Take<File>>,
+    count: usize,
 }
 
-/// Complete lines of the first `bytes` of a log.
-fn lines_until(path: &Path, bytes: u64) -> Result<Vec<String>, RunsError> {
-    let mut reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?.take(bytes));
-    let mut lines = Vec::new();
-    loop {
+impl Lines {
+    /// Those of a whole log.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn open(path: &Path) -> Result<Self, RunsError> {
+        Self::until(path, u64::MAX)
+    }
+
+    /// Those of its first `bytes`.
+    fn until(path: &Path, bytes: u64) -> Result<Self, RunsError> {
+        let reader = BufReader::new(File::open(path).map_err(RunsError::io("open", path))?.take(bytes));
+        Ok(Self { path: path.to_owned(), reader, count: 0 })
+    }
+}
+
+impl Iterator for Lines {
+    type Item = Result<String, RunsError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
         let mut line = Vec::new();
-        reader.read_until(b'\n', &mut line).map_err(RunsError::io("read", path))?;
-        if line.pop() != Some(b'\n') {
-            return Ok(lines);
+        if let Err(error) = self.reader.read_until(b'\n', &mut line) {
+            return Some(Err(RunsError::io("read", &self.path)(error)));
         }
-        let no_text = |_| RunsError::damaged(path, format!("line {} is no text", lines.len() + 1));
-        let line = String::from_utf8(line).map_err(no_text)?;
-        lines.push(line);
+        if line.pop() != Some(b'\n') {
+            return None;
+        }
+        self.count += 1;
+        let no_text = |_| RunsError::damaged(&self.path, format!("line {} is no text", self.count));
+        Some(String::from_utf8(line).map_err(no_text))
     }
 }
 
@@ -125,7 +144,7 @@ fn ledger_until(dir: &SeedDir, bytes: u64) -> Result<Vec<LedgerLine>, RunsError>
         LedgerLine::parse(line)
             .ok_or_else(|| RunsError::damaged(&path, format!("line {} is no line of a ledger", number + 1)))
     };
-    lines_until(&path, bytes)?.iter().enumerate().map(parse).collect()
+    Lines::until(&path, bytes)?.enumerate().map(|(number, line)| parse((number, &line?))).collect()
 }
 
 /// A check with its films, which the line of the ledger vouches for.

@@ -74,13 +74,7 @@ impl Lock {
     /// # Errors
     /// If another process holds it, or the folder cannot be written to.
     pub fn take(run: &RunDir) -> Result<Self, RunsError> {
-        let path = run.lock();
-        let file = OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path)
-            .map_err(RunsError::io("create", &path))?;
+        let (path, file) = Self::open(run)?;
         match file.try_lock() {
             Ok(()) => Ok(Self(file)),
             Err(TryLockError::WouldBlock) => Err(RunsError::Request(format!(
@@ -90,6 +84,23 @@ impl Lock {
             ))),
             Err(TryLockError::Error(source)) => Err(RunsError::Io { doing: "lock", path, source }),
         }
+    }
+
+    /// Takes the lock of a folder, which must exist, as soon as nobody else holds it.
+    ///
+    /// # Errors
+    /// If the folder cannot be written to.
+    pub fn wait(folder: &RunDir) -> Result<Self, RunsError> {
+        let (path, file) = Self::open(folder)?;
+        file.lock().map_err(RunsError::io("lock", &path))?;
+        Ok(Self(file))
+    }
+
+    fn open(folder: &RunDir) -> Result<(PathBuf, File), RunsError> {
+        let path = folder.lock();
+        let file = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
+        let file = file.map_err(RunsError::io("create", &path))?;
+        Ok((path, file))
     }
 }
 

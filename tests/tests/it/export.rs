@@ -272,6 +272,12 @@ fn every_column_and_tag_is_told_in_the_documentation() {
     for name in names {
         assert!(told.contains(&format!("`{name}`")), "docs/export.md does not tell `{name}`");
     }
+    for world in json(&ok(folder, "envs --json")).as_array().unwrap() {
+        let [title, layout] = ["title", "observation_layout"].map(|key| world[key].as_str().unwrap());
+        let names: Vec<&str> = world["action_names"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+        let row = format!("| {title} | {layout} | {} |", names.join(", "));
+        assert!(told.contains(&row), "docs/export.md lacks {row}");
+    }
 }
 
 #[test]

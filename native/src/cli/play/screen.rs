@@ -60,7 +60,7 @@ fn input(key: KeyCode, names: &[&str]) -> Option<Input> {
 
 /// Draws everything anew: it is a few lines, and a resized window needs it.
 fn draw(game: &Game, last: Option<f32>, terminal: &mut Terminal) -> io::Result<()> {
-    // A terminal that does not know its size has none.
+    // A terminal that does not tell its size is taken for a usual one.
     let (columns, rows) = match size() {
         Ok((columns, rows)) if columns > 0 && rows > 0 => (usize::from(columns), usize::from(rows)),
         _ => (WIDTH, usize::MAX),

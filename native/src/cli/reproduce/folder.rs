@@ -1,7 +1,7 @@
 //! The folder of a set of experiments: what is finished there, what is trained there, what is written there.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -442,13 +442,9 @@ impl Folder {
     }
 
     /// Waits until no other process writes records or tables here. Given up when dropped, also by a kill.
-    pub fn lock(&self) -> anyhow::Result<File> {
+    pub fn lock(&self) -> Result<Lock, RunsError> {
         fs::create_dir_all(&self.0).map_err(RunsError::io("create the folder", &self.0))?;
-        let path = RunDir::new(&self.0).lock();
-        let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
-        let file = open.map_err(RunsError::io("create", &path))?;
-        file.lock().map_err(RunsError::io("lock", &path))?;
-        Ok(file)
+        Lock::wait(&RunDir::new(&self.0))
     }
 
     /// What is known of a cell, with the seeds that another process has finished here meanwhile.
@@ -565,8 +561,8 @@ mod tests {
 
     #[test]
     fn seeds_beside_one_that_diverges_are_kept() {
-        let folder = Folder(std::env::temp_dir().join(format!("mcvl-reproduce-diverged-{}", std::process::id())));
-        let _ = fs::remove_dir_all(&folder.0);
+        let scratch = mcvl_tests::scratch();
+        let folder = Folder(scratch.path().join("set"));
         let wanted = Wanted { cell: &DIVERGES, plan: DIVERGES.plan(false, &[0, 1]).unwrap(), train: true };
         let terminal = Terminal::new(Color::Never, true, false);
         let manner = Manner {
@@ -584,6 +580,5 @@ mod tests {
         let record = Record::read(&folder.record(&DIVERGES)).unwrap();
         assert_eq!(record.seeds(), [0]);
         assert_eq!(folder.by_now(None, &wanted, &terminal), Some(record), "the tables of the same command have it");
-        fs::remove_dir_all(&folder.0).unwrap();
     }
 }
